@@ -1,0 +1,71 @@
+# Needs make, Python 3.11 and pip, nothing else; everything is installed below .venv.
+
+SHELL       := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+MAKEFLAGS   += --no-builtin-rules
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+PYTHON   ?= python3.11
+VENV     := .venv
+BIN      := $(VENV)/bin
+STAMP    := $(VENV)/installed
+LOCK     := requirements.lock
+LOCK_BOX := .lock-venv
+TYPED    := wire agents sim_server deploy tests
+PIP_INSTALL := -m pip --disable-pip-version-check --no-input install --progress-bar off --quiet
+
+# A sourced ROS workspace puts its own numpy, pinocchio and pytest plug-ins here; .venv shall hold what the lock says.
+unexport PYTHONPATH PYTHONHOME
+
+.PHONY: help
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+
+.PHONY: install
+install: $(STAMP) ## set up .venv from requirements.lock (PYTHON=... chooses the interpreter)
+
+.PHONY: python
+python:
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "Palanquin needs Python 3.11, and '$(PYTHON)' is not one: install it, or name it with 'make install PYTHON=/path/to/python3.11'." >&2; \
+	  exit 1; }
+
+$(STAMP): pyproject.toml $(LOCK) | python
+	@echo "== install: $(VENV) (about 1.5 GB, a minute or two the first time)"
+	@rm -f $@
+	@"$(PYTHON)" -m venv $(VENV)
+	@$(BIN)/python $(PIP_INSTALL) --require-hashes -r $(LOCK)
+	@$(BIN)/python $(PIP_INSTALL) --no-deps --no-build-isolation -e .
+	@touch $@
+
+.PHONY: demo
+demo: install ## a team of arms carries a load: palanquin run transport
+	@$(BIN)/palanquin run transport
+
+.PHONY: lint
+lint: install ## ruff check, ruff format --check, mypy
+	@echo "== ruff check"
+	@$(BIN)/ruff check .
+	@echo "== ruff format --check"
+	@$(BIN)/ruff format --check .
+	@echo "== mypy"
+	@$(BIN)/mypy $(TYPED)
+
+.PHONY: test
+test: lint ## lint, then all tests (PYTEST_ARGS=... is passed on)
+	@echo "== pytest"
+	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+# Keeps the versions already locked unless pyproject.toml asks otherwise; UPGRADE=--upgrade takes the newest.
+.PHONY: lock
+lock: python ## rebuild requirements.lock (UPGRADE=--upgrade takes the newest versions)
+	@test -x $(LOCK_BOX)/bin/uv || { "$(PYTHON)" -m venv $(LOCK_BOX) && $(LOCK_BOX)/bin/python $(PIP_INSTALL) uv; }
+	@$(LOCK_BOX)/bin/uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 \
+	  --fork-strategy fewest --generate-hashes --no-emit-index-url --no-emit-find-links \
+	  --custom-compile-command "make lock" $(UPGRADE) --quiet --output-file $(LOCK)
+
+.PHONY: clean
+clean: ## remove .venv, caches and build products (runs/ stays)
+	rm -rf $(VENV) $(LOCK_BOX) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

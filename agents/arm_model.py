@@ -1,0 +1,96 @@
+"""The arm as the agent believes it to be: the one door to Pinocchio.
+
+The description (wire/arms) is the agent's own copy of the data sheet; the simulator's arm differs from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from agents.errors import AgentError
+from wire.arms import arm_digest, arm_path
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSnapshot:
+    """All terms of the model at one state, computed in one pass; whoever holds one knows that the work is done.
+
+    B is the arm's base frame, E the tool centre; n joints. Jacobians are those of E at its own origin, expressed in B
+    (Pinocchio's LOCAL_WORLD_ALIGNED), rows [v; w].
+    """
+
+    q: Array
+    """(n,) rad."""
+    qd: Array
+    """(n,) rad/s."""
+    M: Array
+    """Joint inertia, (n, n), armature included, symmetric."""
+    M_inv: Array
+    """Its inverse, (n, n)."""
+    C: Array
+    """Coriolis matrix, (n, n), with Mdot = C + C^T."""
+    g: Array
+    """Gravity torque, (n,) N m."""
+    J: Array
+    """(6, n)."""
+    Jdot: Array
+    """(6, n)."""
+    p_BE: Array
+    """(3,) m."""
+    R_BE: Array
+    """(3, 3)."""
+
+
+class ArmModel:
+    """Kinematics and dynamics of one arm on a level base.
+
+    Raises:
+        wire.arms.UnknownArm: there is no description of that name.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.digest = arm_digest(name)
+        self._model: Any = pin.buildModelFromMJCF(str(arm_path(name)))
+        self._data: Any = self._model.createData()
+        if not self._model.existFrame("tcp"):
+            raise AgentError(f"arm model {name}: no site named 'tcp' in its description")
+        self._tcp = self._model.getFrameId("tcp")
+        self.joints: int = self._model.nv
+        self._above = np.triu(np.ones((self.joints, self.joints)), 1)
+
+    def snapshot(self, q: Array, qd: Array) -> ArmSnapshot:
+        """All terms at joint positions q, (n,) rad, and velocities qd, (n,) rad/s. The arrays are the caller's own."""
+        model, data, tcp = self._model, self._data, self._tcp
+        C = pin.computeCoriolisMatrix(model, data, q, qd).copy()
+        g = pin.computeGeneralizedGravity(model, data, q).copy()
+        M = self._symmetric(pin.crba(model, data, q))
+        M_inv = self._symmetric(pin.computeMinverse(model, data, q))
+        pin.computeJointJacobiansTimeVariation(model, data, q, qd)
+        placement = pin.updateFramePlacement(model, data, tcp)
+        return ArmSnapshot(
+            q=q,
+            qd=qd,
+            M=M,
+            M_inv=M_inv,
+            C=C,
+            g=g,
+            J=pin.getFrameJacobian(model, data, tcp, pin.LOCAL_WORLD_ALIGNED),
+            Jdot=pin.getFrameJacobianTimeVariation(model, data, tcp, pin.LOCAL_WORLD_ALIGNED),
+            p_BE=placement.translation.copy(),
+            R_BE=placement.rotation.copy(),
+        )
+
+    def _symmetric(self, filled_above: Array) -> Array:
+        """The symmetric matrix of which Pinocchio fills the upper triangle only; always a copy."""
+        above = self._above * filled_above
+        symmetric: Array = above + above.T
+        np.fill_diagonal(symmetric, np.diagonal(filled_above))
+        return symmetric

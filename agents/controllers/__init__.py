@@ -1,0 +1,62 @@
+"""Control laws, chosen by name or as ``module:Class``."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import Any, cast
+
+from pydantic import ValidationError
+
+from agents.arm_model import ArmModel
+from agents.controllers.interface import Controller, ControllerFactory
+from agents.controllers.paper import PaperController
+from agents.errors import ControllerError
+
+CONTROLLERS: Mapping[str, ControllerFactory] = {"paper": PaperController}
+"""The laws that come with Palanquin."""
+
+
+def find_controller(name: str) -> ControllerFactory:
+    """The law of that name, or the class at ``module:Class``.
+
+    Raises:
+        ControllerError: there is none; the message names the known ones.
+    """
+    if name in CONTROLLERS:
+        return CONTROLLERS[name]
+    module_name, colon, class_name = name.partition(":")
+    if not colon:
+        raise ControllerError(
+            f"controller {name!r} is unknown: expected one of {', '.join(CONTROLLERS)}, or module:Class for your own"
+        )
+    try:
+        found: Any = getattr(importlib.import_module(module_name), class_name, None)
+    except ImportError as error:
+        raise ControllerError(
+            f"controller {name!r}: module {module_name!r} cannot be imported ({error}); it must be on PYTHONPATH"
+        ) from error
+    if not callable(found):
+        raise ControllerError(f"controller {name!r}: module {module_name!r} has no class {class_name!r}")
+    return cast(ControllerFactory, found)
+
+
+def make_controller(name: str, arm: ArmModel, gains: Mapping[str, object]) -> Controller:
+    """Build the law ``name`` for ``arm`` with ``gains``.
+
+    Raises:
+        ControllerError: unknown law, unknown gain, or a gain of the wrong kind.
+    """
+    factory = find_controller(name)
+    try:
+        return factory(arm, **gains)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "gains"
+        known = ", ".join(getattr(getattr(factory, "gains_model", None), "model_fields", {}))
+        raise ControllerError(
+            f"controller {name}: gain {key}: {first['msg']}; got {first['input']!r}"
+            + (f"; known gains: {known}" if known else "")
+        ) from error
+    except TypeError as error:
+        raise ControllerError(f"controller {name}: {error}; got gains {dict(gains)!r}") from error

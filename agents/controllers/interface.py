@@ -1,0 +1,53 @@
+"""What a controller is: ``step(sensed, dt_s) -> Effort``. No clock, no socket, nothing of any other robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.arm_model import ArmModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Sensed:
+    """What one arm feels at one instant."""
+
+    q: Array
+    """Joint positions, (n,) rad."""
+    qd: Array
+    """Joint velocities, (n,) rad/s."""
+    tau: Array
+    """Measured joint torques, (n,) N m."""
+    wrench: Array
+    """Wrist wrench [force; torque], (6,) N and N m: the arm on the hand, in the wrist frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """What a controller wants."""
+
+    torque: Array
+    """Joint torques, (n,) N m, gravity included."""
+    base_force: Array
+    """(3,) force x, y in N and yaw torque in N m on the mobile base, in the base frame B."""
+    stiffness: Array
+    """(n,) present joint stiffness, N m/rad: a report for the record, nobody obeys it."""
+
+
+class Controller(Protocol):
+    """A control law with its memory. Built as ``Class(arm, **gains)``; gains come from the scenario or ``--set``."""
+
+    def step(self, sensed: Sensed, dt_s: float) -> Effort:
+        """The effort at this instant; ``dt_s`` is the simulated time since the step before (one period at first)."""
+        ...
+
+
+class ControllerFactory(Protocol):
+    """How a controller is made: a class whose constructor takes the arm model and the gains."""
+
+    def __call__(self, arm: ArmModel, **gains: object) -> Controller: ...

@@ -1,0 +1,136 @@
+"""The follower process: state in, torque and base force out. Knows no other arm, no load, no goal, no count."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from agents.arm_model import ArmModel
+from agents.controllers import make_controller
+from agents.controllers.interface import Effort, Sensed
+from agents.safety import SafeController, hold_effort
+from agents.session import AgentSession, RunEnded, here
+from wire.errors import Reason, Refused
+from wire.keys import Keys
+from wire.link import Link
+from wire.messages import Command, Hello, LeaderView, State
+
+log = logging.getLogger("palanquin.follower")
+
+
+@dataclass(frozen=True, slots=True)
+class FollowerSettings:
+    """What a follower is told at its start: its own arm and its law, and nothing of the task."""
+
+    run: str
+    arm: str
+    arm_model: str
+    controller: str
+    gains: Mapping[str, object]
+    handover_s: float = 1.0
+    """Time over which the torque passes from what the arm carried at take-over to what the law wants."""
+    join_timeout_s: float = 30.0
+    state_timeout_s: float = 0.1
+    """Real time only: wall time without a state after which the follower holds."""
+
+
+class Follower:
+    """One arm's loop body, without a clock of its own."""
+
+    def __init__(self, settings: FollowerSettings) -> None:
+        self.settings = settings
+        self.arm = ArmModel(settings.arm_model)
+        law = make_controller(settings.controller, self.arm, settings.gains)
+        self._controller = SafeController(settings.controller, law, self.arm, settings.handover_s)
+        self._last: State | None = None
+
+    def hello(self) -> Hello:
+        """This follower's greeting."""
+        pid, host = here()
+        settings = self.settings
+        return Hello("follower", settings.run, settings.arm, self.arm.name, self.arm.digest, pid, host)
+
+    def check(self, state: State) -> None:
+        """Raises :class:`Refused` if this state is not the next one of this arm."""
+        if state.arm != self.settings.arm:
+            raise Refused(Reason.ARM, "arm", state.arm, self.settings.arm)
+        if self._last is not None and state.tick <= self._last.tick:
+            raise Refused(Reason.STALE, "tick", state.tick, f"more than {self._last.tick}")
+        for what, vector in (("q", state.q), ("qd", state.qd), ("tau", state.tau)):
+            if len(vector) != self.arm.joints:
+                raise Refused(Reason.LENGTH, what, len(vector), f"{self.arm.joints} numbers")
+
+    def answer(self, state: State, lease: int, period_s: float) -> Command:
+        """The command for one state. Raises :class:`agents.errors.ControllerError` if the law fails."""
+        dt_s = period_s if self._last is None else 1e-9 * (state.time_ns - self._last.time_ns)
+        self._last = state
+        start = time.perf_counter_ns()
+        effort = self._controller.step(
+            Sensed(np.array(state.q), np.array(state.qd), np.array(state.tau), np.array(state.wrench)), dt_s
+        )
+        return self._command(state.tick, lease, effort, time.perf_counter_ns() - start)
+
+    def hold(self, lease: int) -> Command | None:
+        """The command for when states stop coming; None if there never was one."""
+        if self._last is None:
+            return None
+        return self._command(self._last.tick, lease, hold_effort(self.arm, np.array(self._last.q)), 0)
+
+    def _command(self, tick: int, lease: int, effort: Effort, step_ns: int) -> Command:
+        return Command(
+            arm=self.settings.arm,
+            tick=tick,
+            lease=lease,
+            torque=tuple(effort.torque.tolist()),
+            base_force=tuple(effort.base_force.tolist()),
+            stiffness=tuple(effort.stiffness.tolist()),
+            step_ns=step_ns,
+        )
+
+
+def run_follower(link: Link, settings: FollowerSettings) -> str:
+    """Join, answer every state until the run ends, and return why it ended.
+
+    In lock-step, time stands still while no state comes, so there is nothing to hold. In real time the arm goes on
+    falling: after ``state_timeout_s`` without a state the follower sends one hold command.
+
+    Raises:
+        NotWelcome, AgentError: not let in, nobody there, or the simulator is gone.
+        ControllerError: the law is unknown, its gains are wrong, or it failed.
+    """
+    follower = Follower(settings)
+    keys = Keys(settings.run)
+    session = AgentSession(link, keys.arm(settings.arm), keys.sim_alive, follower.hello())
+    welcome = session.join(settings.join_timeout_s)
+    log.info("arm %s: joined, %s clock, period %d ns", settings.arm, welcome.clock, welcome.control_period_ns)
+    period_s = 1e-9 * welcome.control_period_ns
+    timeout_s = settings.state_timeout_s if welcome.clock == "real-time" else 1.0
+    holding = False
+    try:
+        while True:
+            state = session.receive(timeout_s)
+            if state is None:
+                hold = follower.hold(session.lease) if welcome.clock == "real-time" and not holding else None
+                if hold is not None:
+                    holding = True
+                    session.send(hold)
+                    log.warning("arm %s: no state for %g s: holding", settings.arm, timeout_s)
+                continue
+            if isinstance(state, LeaderView):
+                continue
+            try:
+                follower.check(state)
+            except Refused as refusal:
+                session.refuse(refusal)
+                continue
+            holding = False
+            session.send(follower.answer(state, session.lease, period_s))
+    except RunEnded as ended:
+        return str(ended)
+    except KeyboardInterrupt:
+        session.leave()
+        return "interrupted"

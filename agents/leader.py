@@ -1,0 +1,106 @@
+"""The leader process: sees the load, knows the goal, pulls with a bounded force. Nobody else can hear it."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.errors import AgentError
+from agents.session import AgentSession, RunEnded, here
+from wire.keys import Keys
+from wire.link import Link
+from wire.messages import Hello, LeaderForce, LeaderView
+
+log = logging.getLogger("palanquin.leader")
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LeaderSettings:
+    """The leader's goal and how it pulls."""
+
+    run: str
+    goal_m: tuple[float, float]
+    """Where the load's frame O shall end, (2,) m, world."""
+    force_max_N: float = 40.0
+    stiffness_N_m: float = 40.0
+    damping_Ns_m: float = 120.0
+    point: str = "front"
+    """Name of the point of the load that is pulled."""
+    join_timeout_s: float = 30.0
+
+
+def bounded_pull(goal_error: Array, velocity: Array, stiffness: float, damping: float, force_max: float) -> Array:
+    """Pull in the plane, (2,) N: stiffness * goal_error - damping * velocity, shortened to force_max.
+
+    Section V of the paper: a lateral force, bounded at 40 N, in the direction of the target, in proportion to the
+    distance. The damping is ours: without it the load overshoots and turns round its own pull.
+
+    Args:
+        goal_error: goal minus the load's place, (2,) m, world.
+        velocity: of the point that is pulled, (2,) m/s, world.
+        stiffness: N/m.
+        damping: N s/m.
+        force_max: N.
+    """
+    force: Array = stiffness * goal_error - damping * velocity
+    size = float(np.linalg.norm(force))
+    # A hair below the bound: rounding of the shortened vector must not put its length above.
+    return force if size <= force_max else force * (force_max / size * (1.0 - 1e-12))
+
+
+def rotate(quat_wxyz: Array, v: Array) -> Array:
+    """The vector v, (3,), turned by the unit quaternion (w, x, y, z)."""
+    w, r = quat_wxyz[0], quat_wxyz[1:]
+    return v + 2.0 * np.cross(r, np.cross(r, v) + w * v)
+
+
+def pull(view: LeaderView, point_O: Array, settings: LeaderSettings) -> Array:
+    """The leader's force for one view of the load, (3,) N, world; its vertical part is zero.
+
+    Args:
+        point_O: the point that is pulled, (3,) m, in the load's frame O.
+    """
+    arm_W = rotate(np.array(view.quat_wxyz), point_O)
+    velocity = np.array(view.linear_velocity) + np.cross(np.array(view.angular_velocity), arm_W)
+    planar = bounded_pull(
+        np.array(settings.goal_m) - np.array(view.position[:2]),
+        velocity[:2],
+        settings.stiffness_N_m,
+        settings.damping_Ns_m,
+        settings.force_max_N,
+    )
+    return np.array([planar[0], planar[1], 0.0])
+
+
+def run_leader(link: Link, settings: LeaderSettings) -> str:
+    """Join, pull at every view until the run ends, and return why it ended.
+
+    Raises:
+        NotWelcome, AgentError: not let in, nobody there, the simulator is gone, or the load has no such point.
+    """
+    keys = Keys(settings.run)
+    pid, host = here()
+    session = AgentSession(link, keys.leader, keys.sim_alive, Hello("leader", settings.run, "leader", "", "", pid, host))
+    welcome = session.join(settings.join_timeout_s)
+    if settings.point not in welcome.points:
+        session.leave()
+        raise AgentError(
+            f"leader: the load has no point {settings.point!r}; expected one of {', '.join(sorted(welcome.points))}"
+        )
+    point_O = np.array(welcome.points[settings.point])
+    log.info("leader: joined, pulling %s towards %s", settings.point, settings.goal_m)
+    try:
+        while True:
+            view = session.receive(1.0)
+            if isinstance(view, LeaderView):
+                force = pull(view, point_O, settings)
+                session.send(LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist())))
+    except RunEnded as ended:
+        return str(ended)
+    except KeyboardInterrupt:
+        session.leave()
+        return "interrupted"

@@ -1,0 +1,126 @@
+"""An agent's side of its life on the wire, the same for followers and for the leader: greet, listen, answer, leave."""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import socket
+import time
+from collections import Counter
+
+from agents.errors import AgentError, NotWelcome
+from wire.codec import decode, decode_any, encode
+from wire.errors import Refused
+from wire.keys import ArmKeys
+from wire.link import Link
+from wire.messages import Command, End, Goodbye, Hello, LeaderForce, LeaderView, Refusal, State, Welcome
+
+log = logging.getLogger("palanquin.agent")
+
+POLL_S = 0.01
+
+
+class SimulatorGone(AgentError):
+    """The simulator's sign of life is gone."""
+
+
+class RunEnded(Exception):
+    """The simulator said that the run, or this agent's part in it, is over. Not an error."""
+
+
+class AgentSession:
+    """Keys, inbox and lease of one agent.
+
+    Args:
+        link: an open link to the simulator.
+        keys: this agent's four keys.
+        sim_alive: key of the simulator's sign of life.
+        hello: the greeting, with ``pid`` and ``host`` filled in by :func:`here`.
+    """
+
+    def __init__(self, link: Link, keys: ArmKeys, sim_alive: str, hello: Hello) -> None:
+        self._link, self._keys, self._hello = link, keys, hello
+        self._inbox: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._publisher = link.publisher(keys.command)
+        self._refused: Counter[str] = Counter()
+        self.lease = 0
+        link.subscribe(keys.state, self._inbox.put)
+        link.watch_alive(sim_alive, self._on_simulator)
+
+    def _on_simulator(self, alive: bool) -> None:
+        if not alive:
+            self._inbox.put(None)
+
+    def join(self, timeout_s: float) -> Welcome:
+        """Greet the simulator and wait to be let in.
+
+        Raises:
+            NotWelcome: it refused, with its reason.
+            AgentError: no simulator answered within ``timeout_s``.
+        """
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            reply = self._link.query(self._keys.hello, encode(self._hello), min(2.0, timeout_s))
+            if reply is None:
+                continue
+            message = decode_any(reply)
+            if isinstance(message, Refusal):
+                raise NotWelcome(f"{self._hello.name}: the simulator refused this agent: {message.text}")
+            welcome = decode(reply, Welcome)
+            self.lease = welcome.lease
+            self._link.declare_alive(self._keys.alive)
+            while not self._publisher.matched():
+                if time.monotonic() > deadline:
+                    raise AgentError(f"{self._hello.name}: let in, but nobody listens on {self._keys.command}")
+                time.sleep(POLL_S)
+            return welcome
+        raise AgentError(
+            f"{self._hello.name}: no simulator answered on {self._keys.hello} within {timeout_s:g} s; expected one "
+            f"that runs {self._hello.run!r}"
+        )
+
+    def receive(self, timeout_s: float) -> State | LeaderView | None:
+        """The next message of the simulator, or None after ``timeout_s`` without one.
+
+        What does not fit is counted, reported in the log once per kind, and skipped.
+
+        Raises:
+            RunEnded: the simulator said so.
+            SimulatorGone: its sign of life is gone.
+        """
+        try:
+            payload = self._inbox.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        if payload is None:
+            raise SimulatorGone(f"{self._hello.name}: the simulator is gone")
+        try:
+            message = decode_any(payload)
+        except Refused as refusal:
+            self.refuse(refusal)
+            return None
+        if isinstance(message, End):
+            raise RunEnded(message.reason)
+        if isinstance(message, State | LeaderView):
+            return message
+        return None
+
+    def refuse(self, refusal: Refused) -> None:
+        """Count a message that does not fit and report the first of its kind."""
+        self._refused[refusal.reason] += 1
+        if self._refused[refusal.reason] == 1:
+            log.warning("refused a message of the simulator: %s", refusal)
+
+    def send(self, message: Command | LeaderForce) -> None:
+        """Publish the answer to a tick."""
+        self._publisher.put(encode(message))
+
+    def leave(self, timeout_s: float = 2.0) -> None:
+        """Say goodbye; a simulator that is gone already is no error."""
+        self._link.query(self._keys.hello, encode(Goodbye(self._hello.name, self.lease)), timeout_s)
+
+
+def here() -> tuple[int, str]:
+    """Process id and host name for a greeting."""
+    return os.getpid(), socket.gethostname()

@@ -1,0 +1,342 @@
+"""The command ``palanquin``. Exit status: 0 holds, 1 violated, 2 bad input, 3 could not run or cannot tell."""
+
+from __future__ import annotations
+
+import os
+
+# Before numpy is loaded: one thread per process, since the matrices are small and more threads only disturb each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import importlib.metadata
+import logging
+import signal
+import sys
+import threading
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from deploy.guard import end_with_parent
+from wire.errors import LinkError, Refused
+
+BAD_INPUT, COULD_NOT_RUN = 2, 3
+STATUS = {"holds": 0, "violated": 1, "unknown": 3}
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+HARD_EXIT_S = 20.0
+
+app = typer.Typer(
+    name="palanquin",
+    help="Robots that carry one load together without talking.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+ScenarioName = Annotated[str, typer.Argument(help="A scenario's name (see `palanquin scenarios`) or a TOML file.")]
+Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value (TOML).")]
+RunName = Annotated[str, typer.Option("--run", help="Name of the run.")]
+Connect = Annotated[str, typer.Option("--connect", help="Address of the simulator.")]
+WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
+
+
+@app.callback(invoke_without_command=True)
+def _main(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    if version:
+        print(importlib.metadata.version("palanquin"))
+        raise typer.Exit
+
+
+@app.command()
+def run(
+    scenario: ScenarioName,
+    out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Another seed.")] = None,
+    set_: Settings = None,
+) -> None:
+    """Run a scenario: simulator, followers and leader as processes of this machine."""
+    from agents.arm_model import ArmModel
+    from agents.controllers import make_controller
+    from deploy.launcher import Interrupted, Launcher, raise_on_signals
+    from deploy.report import progress_display
+    from sim_server.run_folder import RUN, RunFolderError
+    from sim_server.scenario_files import load_scenario
+    from sim_server.server import check_world, default_folder
+    from wire.zenoh_link import free_endpoint, open_client
+
+    arguments = [scenario, *(["--seed", str(seed)] if seed is not None else [])]
+    for setting in set_ or []:
+        arguments += ["--set", setting]
+    named = load_scenario(scenario, _changes(seed, set_))
+    team = named.scenario.team
+    sys.path.insert(0, os.getcwd())  # for a controller of the user's own
+    make_controller(team.controller, ArmModel(team.arm), team.gains)
+    check_world(named.scenario)
+    folder = (out or default_folder(Path("runs"), named.name)).absolute()
+    if (folder / RUN).exists():
+        raise RunFolderError(f"{folder} holds a run already: expected a new folder; choose another with --out")
+
+    console = Console()
+    raise_on_signals()
+    endpoint = free_endpoint()
+    launcher = Launcher(arguments, named.scenario, _run_name(named.name), endpoint, folder)
+    problem = ""
+    try:
+        launcher.start()
+        if launcher.sim.process.poll() is not None:
+            _fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
+        with open_client(endpoint) as link, progress_display(console) as show:
+            try:
+                ended = launcher.watch(link, show)
+                if launcher.sim.process.poll() is None:
+                    launcher.order_stop(link)
+                status, problem = ended.status, ended.problem
+            except Interrupted as interrupted:
+                launcher.order_stop(link)
+                status, problem = COULD_NOT_RUN, f"stopped by {interrupted}"
+    finally:
+        launcher.end_all()
+    _conclude(console, folder, status, problem)
+
+
+def _conclude(console: Console, folder: Path, status: int, problem: str) -> None:
+    """Print what a run left, draw its picture, and exit."""
+    from sim_server.run_folder import METRICS, compute_metrics
+
+    if (folder / METRICS).exists():
+        from deploy.report import print_metrics
+
+        metrics, judged = compute_metrics(folder)
+        print_metrics(console, metrics, judged)
+        picture = _draw(folder)
+        console.print(f"run folder: {folder}" + (f" (picture: {picture.name})" if picture else ""), soft_wrap=True)
+    else:
+        console.print(f"nothing was recorded; logs: {folder / 'logs'}", soft_wrap=True)
+    if problem:
+        _fail(problem, status if status in (BAD_INPUT, COULD_NOT_RUN) else COULD_NOT_RUN)
+    raise typer.Exit(status)
+
+
+def _draw(folder: Path) -> Path | None:
+    """The run's picture; None without the extra ``view``."""
+    try:
+        from deploy.picture import draw_run
+    except ModuleNotFoundError as missing:
+        if missing.name is not None and missing.name.partition(".")[0] == "matplotlib":
+            return None
+        raise
+    return draw_run(folder)
+
+
+@app.command()
+def sim(
+    scenario: ScenarioName,
+    run: Annotated[str | None, typer.Option("--run", help="Name of the run; the scenario's by default.")] = None,
+    listen: Annotated[str, typer.Option(help="Address to listen on.")] = DEFAULT_ENDPOINT,
+    out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Another seed.")] = None,
+    set_: Settings = None,
+    with_parent: WithParent = False,
+) -> None:
+    """Start the simulator of a scenario and wait for its agents."""
+    from sim_server.run_folder import RunFolder
+    from sim_server.scenario_files import load_scenario
+    from sim_server.server import Server, default_folder
+    from wire.zenoh_link import open_server
+
+    _log_to_stderr()
+    named = load_scenario(scenario, _changes(seed, set_))
+    name = run or _run_name(named.name)
+    with open_server(listen) as link:
+        folder = RunFolder(out or default_folder(Path("runs"), named.name))
+        server = Server(link, named, name, folder)
+        _stop_on_signals(server.stop)
+        if with_parent:
+            end_with_parent(lambda: _stop_or_exit(server.stop), even_if_stopped=False)
+        print(f"run {name} at {listen}, waiting for {', '.join(named.scenario.arms)}", flush=True)
+        outcome = server.run()
+    print(f"{outcome.verdict}: {outcome.why}; run folder: {folder.path}", flush=True)
+    raise typer.Exit(STATUS[outcome.verdict])
+
+
+@app.command()
+def follower(
+    arm: Annotated[str, typer.Option(help="Name of the arm, such as a1.")],
+    run: RunName,
+    connect: Connect = DEFAULT_ENDPOINT,
+    arm_model: Annotated[str, typer.Option(help="The arm's description.")] = "panda",
+    controller: Annotated[str, typer.Option(help="A law's name, or module:Class for your own.")] = "paper",
+    handover_s: Annotated[float, typer.Option(min=0.0, help="Time over which the law takes the load over.")] = 1.0,
+    set_: Settings = None,
+    with_parent: WithParent = False,
+) -> None:
+    """Start one follower: the control process of one arm."""
+    from agents.follower import FollowerSettings, run_follower
+    from wire.keys import Keys
+    from wire.zenoh_link import open_client
+
+    _log_to_stderr()
+    sys.path.insert(0, os.getcwd())  # for a controller of the user's own
+    gains = _tables(set_ or [])
+    settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s)
+    Keys(run).arm(arm)
+    if with_parent:
+        end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with open_client(connect) as link:
+        print(f"{arm}: {run_follower(link, settings)}")
+
+
+@app.command()
+def leader(
+    run: RunName,
+    goal_m: Annotated[tuple[float, float], typer.Option("--goal-m", metavar="X Y", help="Where the load shall go, m.")],
+    connect: Connect = DEFAULT_ENDPOINT,
+    force_max: Annotated[float, typer.Option("--force-max-N", min=0.0)] = 40.0,
+    stiffness: Annotated[float, typer.Option("--stiffness-N-m", min=0.0)] = 40.0,
+    damping: Annotated[float, typer.Option("--damping-Ns-m", min=0.0)] = 120.0,
+    point: Annotated[str, typer.Option(help="Point of the load that is pulled.")] = "front",
+    with_parent: WithParent = False,
+) -> None:
+    """Start the leader: it sees the load, knows the goal, and pulls."""
+    from agents.leader import LeaderSettings, run_leader
+    from wire.keys import Keys
+    from wire.zenoh_link import open_client
+
+    _log_to_stderr()
+    Keys(run)
+    settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point)
+    if with_parent:
+        end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with open_client(connect) as link:
+        print(f"leader: {run_leader(link, settings)}")
+
+
+@app.command()
+def scenarios() -> None:
+    """List the scenarios that come with Palanquin."""
+    from deploy.report import print_scenarios
+    from sim_server.scenario_files import load_scenario, shipped_names
+
+    print_scenarios(Console(), [(name, load_scenario(name).scenario.description) for name in shipped_names()])
+
+
+@app.command()
+def metrics(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]) -> None:
+    """Compute a run's metrics.json again from its trace."""
+    from deploy.report import print_metrics
+    from sim_server.run_folder import METRICS, compute_metrics, write_json
+
+    found, judged = compute_metrics(folder)
+    write_json(folder / METRICS, found)
+    print_metrics(Console(), found, judged)
+
+
+def _run_name(name: str) -> str:
+    """A scenario's name as part of a key."""
+    kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower()).strip("-")
+    return kept[:40] or "run"
+
+
+def _changes(seed: int | None, settings: list[str] | None) -> dict[str, Any]:
+    return _tables(settings or []) | ({"seed": seed} if seed is not None else {})
+
+
+def _tables(settings: list[str]) -> dict[str, Any]:
+    """``--set`` options as nested tables. Raises :class:`typer.BadParameter`."""
+    tables: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not equals or not key.strip():
+            raise typer.BadParameter(f"--set {setting}: expected KEY=VALUE, such as load.mass_kg=30")
+        try:
+            parsed = tomllib.loads(f"{key} = {value}")
+        except tomllib.TOMLDecodeError as error:
+            raise typer.BadParameter(f"--set {setting}: the value is not TOML ({error}); text needs quotes") from None
+        _merge(tables, parsed)
+    return tables
+
+
+def _merge(tables: dict[str, Any], more: dict[str, Any]) -> None:
+    for key, value in more.items():
+        if isinstance(value, dict) and isinstance(tables.get(key), dict):
+            _merge(tables[key], value)
+        else:
+            tables[key] = value
+
+
+def _log_to_stderr() -> None:
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
+
+
+def _stop_on_signals(stop: Callable[[], None]) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: stop())
+
+
+def _stop_or_exit(stop: Callable[[], None]) -> None:
+    """Stop in order; if that does not work, stop."""
+    stop()
+    timer = threading.Timer(HARD_EXIT_S, os._exit, [COULD_NOT_RUN])
+    timer.daemon = True
+    timer.start()
+
+
+def _fail(text: str, status: int) -> None:
+    print(f"palanquin: {text}", file=sys.stderr)
+    raise typer.Exit(status or COULD_NOT_RUN)
+
+
+EXTRAS = {"mujoco": "sim", "pyarrow": "sim", "pinocchio": "follower", "matplotlib": "view", "rerun": "view"}
+
+
+def main() -> None:
+    """Entry point: every error that we raise on purpose becomes one sentence and an exit status."""
+    try:
+        app()
+    except ModuleNotFoundError as error:
+        extra = EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        _exit(f"{error.name} is not installed: expected the extra `{extra}`; pip install 'palanquin[{extra}]'", 3)
+    except (Refused, ValueError) as error:
+        if isinstance(error, Refused) or type(error).__name__ == "UnknownArm":
+            _exit(str(error), BAD_INPUT)
+        raise
+    except LinkError as error:
+        _exit(str(error), COULD_NOT_RUN)
+    except Exception as error:
+        status = _status_of(error)
+        if status is None:
+            raise
+        _exit(str(error), status)
+
+
+def _status_of(error: Exception) -> int | None:
+    """Exit status for an error of the agents or the simulator; None for a bug."""
+    families = {
+        "agents.errors": {"ControllerError": BAD_INPUT, "NotWelcome": BAD_INPUT, "AgentError": COULD_NOT_RUN},
+        "sim_server.errors": {"ScenarioError": BAD_INPUT, "SimError": BAD_INPUT},
+    }
+    for cls in type(error).__mro__:
+        if cls.__name__ == "NobodyCame":
+            return COULD_NOT_RUN
+        status = families.get(cls.__module__, {}).get(cls.__name__)
+        if status is not None:
+            return status
+    return None
+
+
+def _exit(text: str, status: int) -> None:
+    print(f"palanquin: {text}", file=sys.stderr)
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()

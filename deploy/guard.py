@@ -1,0 +1,34 @@
+"""No orphans: a process that was started by another ends when that other ends, however it ends."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+
+_PR_SET_PDEATHSIG = 1
+
+
+def end_with_parent(on_end: Callable[[], None], *, even_if_stopped: bool) -> None:
+    """Call ``on_end`` when standard input closes, which it does when the process that holds its other end is gone.
+
+    Args:
+        even_if_stopped: also have the kernel kill this process when its parent dies (Linux): a process that is stopped
+            at that moment cannot read its input. For processes that keep nothing worth saving.
+    """
+
+    def watch() -> None:
+        while os.read(stdin, 4096):
+            pass
+        on_end()
+
+    stdin = sys.stdin.fileno()
+    if even_if_stopped and sys.platform == "linux":
+        parent = os.getppid()
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # it died before the kernel knew
+            os._exit(1)
+    threading.Thread(target=watch, name="end with parent", daemon=True).start()

@@ -1,0 +1,233 @@
+"""The launcher: spawns a simulator, followers and a leader on this machine, watches them, and leaves none behind.
+
+Every child has its own session (a Ctrl-C in the terminal reaches the launcher alone), a log file, and a pipe on its
+standard input that closes when the launcher dies, however it dies.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from sim_server.scenario import Scenario
+from wire.codec import decode, encode
+from wire.errors import Refused
+from wire.keys import Keys
+from wire.link import Link
+from wire.messages import Order, Progress
+
+POLL_S = 0.05
+STOP_S = 15.0
+"""Time that the simulator gets to end a run and write its folder."""
+TERM_S = 3.0
+"""Time that a process gets between the polite signal and the last one."""
+
+Show = Callable[[Progress], None]
+
+
+class Interrupted(Exception):
+    """The user, or the system, asked the launcher to stop."""
+
+
+@dataclass(slots=True)
+class Child:
+    """One process of the run."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def last_words(self) -> str:
+        """The last line of its log that says something."""
+        lines = [line.strip() for line in self.log.read_text(encoding="utf-8", errors="replace").splitlines()]
+        return next((line for line in reversed(lines) if line), "its log is empty")
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a launched run ended: the simulator's exit status, or the first thing that failed before."""
+
+    status: int
+    problem: str
+
+
+class Launcher:
+    """Starts and ends the processes of one run.
+
+    Args:
+        scenario_arguments: how the simulator finds the scenario (file or name, and changes).
+        scenario: the same, checked.
+        run: name of the run.
+        endpoint: a free address for the simulator.
+        folder: the run folder.
+    """
+
+    def __init__(
+        self, scenario_arguments: Sequence[str], scenario: Scenario, run: str, endpoint: str, folder: Path
+    ) -> None:
+        self._scenario_arguments, self._scenario = scenario_arguments, scenario
+        self._run, self._endpoint, self._folder = run, endpoint, folder
+        self._children: list[Child] = []
+
+    def start(self) -> None:
+        """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
+        (self._folder / "logs").mkdir(parents=True, exist_ok=True)
+        common = ["--run", self._run, "--with-parent"]
+        self._spawn(
+            "sim",
+            ["sim", *self._scenario_arguments, *common, "--listen", self._endpoint, "--out", str(self._folder)],
+        )
+        self.wait_until_listening()
+        agent = [*common, "--connect", self._endpoint]
+        for arm in self._scenario.arms:
+            self._spawn(arm, ["follower", "--arm", arm, *follower_arguments(self._scenario), *agent])
+        if self._scenario.leader is not None:
+            self._spawn("leader", ["leader", *leader_arguments(self._scenario), *agent])
+
+    def _spawn(self, name: str, arguments: Sequence[str]) -> None:
+        log = self._folder / "logs" / f"{name}.log"
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "deploy.cli", *arguments],
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env=child_environment(os.environ),
+            )
+        self._children.append(Child(name, process, log))
+
+    def wait_until_listening(self) -> None:
+        """Until the simulator's port is open, or the simulator has ended."""
+        import socket
+
+        host, _, port = self._endpoint.partition("/")[2].rpartition(":")
+        while self.sim.process.poll() is None:
+            with socket.socket() as probe:
+                if probe.connect_ex((host, int(port))) == 0:
+                    return
+            time.sleep(POLL_S)
+
+    @property
+    def sim(self) -> Child:
+        """The simulator's process."""
+        return self._children[0]
+
+    def watch(self, link: Link, show: Show) -> Ended:
+        """Show progress until the simulator ends, or until an agent fails before the first tick.
+
+        Raises:
+            Interrupted: a signal asked for the end; :meth:`order_stop` comes next.
+        """
+        started = False
+
+        def on_progress(payload: bytes) -> None:
+            nonlocal started
+            try:
+                progress = decode(payload, Progress)
+            except Refused:
+                return
+            started = started or progress.phase == "running"
+            show(progress)
+
+        link.subscribe(Keys(self._run).progress, on_progress)
+        while self.sim.process.poll() is None:
+            failed = None if started else self._failed_agent()
+            if failed is not None:
+                time.sleep(2 * POLL_S)  # its log may still be on the way to the disk
+                return Ended(failed.process.returncode, f"{failed.name} ended before the first tick: {failed.last_words()}")
+            time.sleep(POLL_S)
+        status = self.sim.process.returncode
+        return Ended(status, "" if status in (0, 1) else self.sim.last_words())
+
+    def _failed_agent(self) -> Child | None:
+        return next((child for child in self._children[1:] if child.process.poll() not in (None, 0)), None)
+
+    def order_stop(self, link: Link) -> None:
+        """Tell the simulator to end the run and wait until it has written its folder."""
+        order = link.publisher(Keys(self._run).order)
+        deadline = time.monotonic() + STOP_S
+        while self.sim.process.poll() is None and time.monotonic() < deadline:
+            if order.matched():
+                order.put(encode(Order("stop")))
+            time.sleep(2 * POLL_S)
+
+    def end_all(self) -> None:
+        """End every process that is left: politely, then for good."""
+        for signal_number, patience_s in ((signal.SIGTERM, TERM_S), (signal.SIGKILL, TERM_S)):
+            alive = [child for child in self._children if child.process.poll() is None]
+            for child in alive:
+                child.process.send_signal(signal_number)
+                if signal_number == signal.SIGTERM:  # one that is stopped cannot obey before it goes on
+                    child.process.send_signal(signal.SIGCONT)
+            deadline = time.monotonic() + patience_s
+            while any(child.process.poll() is None for child in alive) and time.monotonic() < deadline:
+                time.sleep(POLL_S)
+        for child in self._children:
+            if child.process.stdin is not None:
+                child.process.stdin.close()
+
+
+def follower_arguments(scenario: Scenario) -> list[str]:
+    """What a follower is told: its arm's model and its law. Nothing of the load, the goal, or how many there are."""
+    team = scenario.team
+    arguments = ["--arm-model", team.arm, "--controller", team.controller, "--handover-s", repr(team.handover_s)]
+    for key, value in team.gains.items():
+        arguments += ["--set", f"{key}={toml_value(value)}"]
+    return arguments
+
+
+def leader_arguments(scenario: Scenario) -> list[str]:
+    """What the leader is told."""
+    leader = scenario.leader
+    if leader is None:
+        return []
+    return [
+        "--goal-m",
+        *(repr(x) for x in leader.goal_m),
+        "--force-max-N",
+        repr(leader.force_max_N),
+        "--stiffness-N-m",
+        repr(leader.stiffness_N_m),
+        "--damping-Ns-m",
+        repr(leader.damping_Ns_m),
+        "--point",
+        leader.point,
+    ]
+
+
+def toml_value(value: object) -> str:
+    """A scenario's value as TOML text: true, 3.5, "text", [1, 2]."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(toml_value(element) for element in value) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {toml_value(element)}" for key, element in value.items()) + "}"
+    return repr(value)
+
+
+def child_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """One thread per process: the matrices are small, and more threads only disturb each other."""
+    return {**environment, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+
+
+def raise_on_signals() -> None:
+    """Turn Ctrl-C, SIGTERM and a closed terminal into :class:`Interrupted`, once; the next one acts as usual."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        for again in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(again, signal.SIG_IGN if again == signal.SIGHUP else signal.default_int_handler)
+        raise Interrupted(signal.Signals(number).name)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)

@@ -1,0 +1,1 @@
+"""The physical world: plant, grasps, clock, scenarios, metrics, recorder."""

@@ -1,0 +1,25 @@
+"""The simulator's errors: what, where, got, expected, what to do next."""
+
+from __future__ import annotations
+
+
+class SimError(Exception):
+    """Base of every error that the simulation side raises on purpose."""
+
+
+class ScenarioError(SimError):
+    """A scenario file cannot be used. Carries the file and the key at fault.
+
+    Attributes:
+        file: the scenario's file name, or its name when it came with the package.
+        key: dotted path of the key at fault, for example ``load.mass_kg``.
+    """
+
+    def __init__(self, file: str, key: str, problem: str, *, expected: str = "", fix: str = "") -> None:
+        self.file, self.key, self.problem, self.expected, self.fix = file, key, problem, expected, fix
+        text = f"{file}: {key}: {problem}" if key else f"{file}: {problem}"
+        if expected:
+            text += f"; expected {expected}"
+        if fix:
+            text += f". {fix}"
+        super().__init__(text)

@@ -1,0 +1,206 @@
+"""The lock-step clock: tick k's states go out, every live agent's command for k comes back, the physics steps.
+
+An agent whose sign of life goes is lost at once. One that stays silent for ``answer_timeout_s`` has missed the tick;
+while it stays silent it is not waited for again, so that a hung agent costs that time once, and after
+``missed_ticks_until_lost`` missed ticks in a row it is lost.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_server.plant import Plant
+from sim_server.reception import LEADER, Agent, Arrived, Reception, Report
+from wire.codec import decode, encode
+from wire.errors import Reason, Refused
+from wire.messages import Command, LeaderForce, LeaderView, Order, State
+
+
+@dataclass(slots=True)
+class Timings:
+    """Wall time of every tick by part, in ns, and of the controllers' steps as they report them."""
+
+    send: list[int] = field(default_factory=list)
+    """Read the sensors, encode and publish all states."""
+    wait: list[int] = field(default_factory=list)
+    """Wait for, decode and check all commands."""
+    step: list[int] = field(default_factory=list)
+    """Motor drivers and physics."""
+    record: list[int] = field(default_factory=list)
+    """Trace and progress."""
+    controller: list[int] = field(default_factory=list)
+
+
+class Stopped(Exception):
+    """The operator ordered a stop."""
+
+
+class LockStep:
+    """Drives a plant and its agents tick by tick.
+
+    Args:
+        reception: who is in.
+        plant: what moves.
+        period_ns: simulated time of a tick.
+        leader_every: the leader sees and pulls every so many ticks.
+        leader_force_max: N; a stronger pull is refused.
+        answer_timeout_s: wall time to wait for an answer.
+        report: where events go.
+    """
+
+    def __init__(
+        self,
+        reception: Reception,
+        plant: Plant,
+        *,
+        period_ns: int,
+        leader_every: int,
+        leader_force_max: float,
+        answer_timeout_s: float,
+        report: Report,
+    ) -> None:
+        self._reception, self._plant, self._report = reception, plant, report
+        self._period_ns, self._leader_every = period_ns, leader_every
+        self._leader_force_max = leader_force_max
+        self._answer_timeout_s = answer_timeout_s
+        self._waiting: set[str] = set()
+        self.timings = Timings()
+
+    def tick(self, tick: int) -> None:
+        """One tick up to, and without, the plant's step. Raises :class:`Stopped`."""
+        start = time.perf_counter_ns()
+        self.admit()
+        self._send(tick)
+        sent = time.perf_counter_ns()
+        self._gather()
+        done = time.perf_counter_ns()
+        self.timings.send.append(sent - start)
+        self.timings.wait.append(done - sent)
+
+    def admit(self) -> None:
+        """Let those in whose links are up; an arm that was lost or left before is driven again."""
+        for name in self._reception.match():
+            if name != LEADER and self._reception.agents[name].link.lease > 1:
+                self._plant.regain(name)
+
+    def _send(self, tick: int) -> None:
+        time_ns = tick * self._period_ns
+        readings = self._plant.read()
+        for name, agent in self._reception.agents.items():
+            if not agent.is_in:
+                continue
+            message: State | LeaderView
+            if name == LEADER:
+                if tick % self._leader_every:
+                    continue
+                pose = self._plant.load_pose()
+                message = LeaderView(
+                    tick,
+                    time_ns,
+                    tuple(pose.position.tolist()),
+                    tuple(pose.quat_wxyz.tolist()),
+                    tuple(pose.linear_velocity.tolist()),
+                    tuple(pose.angular_velocity.tolist()),
+                )
+            else:
+                reading = readings[name]
+                message = State(
+                    name,
+                    tick,
+                    time_ns,
+                    tuple(reading.q.tolist()),
+                    tuple(reading.qd.tolist()),
+                    tuple(reading.tau.tolist()),
+                    tuple(reading.wrench.tolist()),
+                )
+            agent.link.state_sent(tick)
+            agent.publisher.put(encode(message))
+            if not agent.link.missed_in_row:
+                self._waiting.add(name)
+
+    def _gather(self) -> None:
+        """Take in what arrives until everybody who is waited for has answered, is gone, or has run out of time."""
+        inbox = self._reception.inbox
+        deadline = time.monotonic() + self._answer_timeout_s
+        while self._waiting:
+            try:
+                arrived = inbox.get(timeout=max(0.0, deadline - time.monotonic()))
+            except queue.Empty:
+                break
+            self.take(arrived)
+        while not inbox.empty():
+            self.take(inbox.get())
+        self._waiting.clear()
+        for name, agent in self._reception.agents.items():
+            if agent.link.open_tick is not None:
+                self._miss(name, agent)
+
+    def take(self, arrived: Arrived) -> None:
+        """Deal with one thing from the inbox. Raises :class:`Stopped`."""
+        if arrived.kind == "answer":
+            self._answer(arrived.name, arrived.payload)
+        elif arrived.kind == "gone":
+            if self._reception.agents[arrived.name].link.vanish():
+                self._lose(arrived.name, "its sign of life is gone")
+        elif arrived.kind == "question" and arrived.question is not None:
+            left = self._reception.answer(arrived.question)
+            if left is not None:
+                self._waiting.discard(left)
+                self._stop_driving(left)
+        elif arrived.kind == "order":
+            self._obey(arrived.payload)
+
+    def _answer(self, name: str, payload: bytes) -> None:
+        agent = self._reception.agents[name]
+        try:
+            if name == LEADER:
+                self._pull(agent, decode(payload, LeaderForce))
+            else:
+                command = decode(payload, Command)
+                agent.link.answer(command)
+                self._plant.command(
+                    name, np.array(command.torque), np.array(command.base_force), np.array(command.stiffness)
+                )
+                self.timings.controller.append(command.step_ns)
+        except Refused as refusal:
+            self._reception.refuse(name, refusal)
+        else:
+            self._waiting.discard(name)
+
+    def _pull(self, agent: Agent, force: LeaderForce) -> None:
+        if force.point not in agent.terms.points:
+            raise Refused(Reason.POINT, "point", force.point, ", ".join(sorted(agent.terms.points)))
+        size = float(np.linalg.norm(force.force))
+        if size > self._leader_force_max:
+            raise Refused(Reason.RANGE, "leader's force", f"{size:.3f} N", f"at most {self._leader_force_max:g} N")
+        agent.link.answer(force)
+        self._plant.pull(force.point, np.array(force.force))
+
+    def _obey(self, payload: bytes) -> None:
+        try:
+            decode(payload, Order)
+        except Refused as refusal:
+            self._reception.refuse("", refusal)
+        else:
+            raise Stopped
+
+    def _miss(self, name: str, agent: Agent) -> None:
+        if agent.link.missed_in_row == 0:
+            self._report("missed", agent=name, tick_missed=agent.link.open_tick)
+        if agent.link.miss():
+            self._lose(name, f"{agent.link.missed_in_row} ticks without an answer")
+
+    def _lose(self, name: str, why: str) -> None:
+        self._waiting.discard(name)
+        self._report("lost", agent=name, why=why, then="stops pulling" if name == LEADER else "limp")
+        self._stop_driving(name)
+
+    def _stop_driving(self, name: str) -> None:
+        if name == LEADER:
+            self._plant.pull("centre", np.zeros(3))
+        else:
+            self._plant.lose(name)

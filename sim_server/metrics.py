@@ -1,0 +1,201 @@
+"""The numbers of a run, computed from its trace alone. SI, and degrees where the name says so; docs/metrics.md.
+
+What only the running system can know (wall times, refusals) is kept in run.json and passed through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+GRAVITY_M_S2 = 9.81
+ARRIVED_WITHIN_M = 0.10
+"""A load has arrived when it stays this close to the goal until the end."""
+STANDSTILL_WINDOW_S = 1.0
+"""End of the run over which the remaining speed is taken."""
+
+Metrics = dict[str, float | dict[str, float] | None]
+
+
+@dataclass(frozen=True, slots=True)
+class TraceFacts:
+    """What the metrics need besides the trace."""
+
+    arms: tuple[str, ...]
+    goal_m: tuple[float, float] | None
+    load_mass_kg: float
+    centre_of_mass_m: tuple[float, float, float]
+    """In the load's frame O."""
+    grasps_m: Mapping[str, Sequence[float]]
+    """Grasp point of every arm, in O."""
+    torque_max_Nm: tuple[float, ...]
+
+
+def physical_metrics(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
+    """All metrics that the trace holds. A metric that does not apply (no goal, no leader) is None.
+
+    Raises:
+        ValueError: the trace has no rows.
+    """
+    time_s = trace["time_s"]
+    if time_s.size == 0:
+        raise ValueError("the trace has no rows: the run ended before its first tick")
+    position, quat = trace["load.position"], trace["load.quat_wxyz"]
+    return {
+        "duration_s": float(time_s[-1] - time_s[0]),
+        **_path(time_s, position, trace["load.linear_velocity"], facts.goal_m),
+        **_attitude(position, quat),
+        **_forces(trace, facts),
+        **_effort(trace, facts),
+    }
+
+
+def tilt_deg(quat_wxyz: Array) -> Array:
+    """Angle between the load's vertical and the world's, (rows,) deg, from unit quaternions (rows, 4)."""
+    _, x, y, _ = quat_wxyz.T
+    return np.degrees(2.0 * np.arcsin(np.minimum(1.0, np.hypot(x, y))))
+
+
+def roll_pitch_yaw_deg(quat_wxyz: Array) -> Array:
+    """Roll, pitch, yaw (x, y, z; yaw unwrapped) of unit quaternions (rows, 4), as (rows, 3) deg."""
+    w, x, y, z = quat_wxyz.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return np.degrees(np.stack([roll, pitch, yaw], axis=1))
+
+
+def rotation_matrices(quat_wxyz: Array) -> Array:
+    """Rotation matrices R_WO, (rows, 3, 3), of unit quaternions (rows, 4)."""
+    w, x, y, z = quat_wxyz.T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1),
+        ],
+        axis=1,
+    )
+
+
+def goal_distance_m(position: Array, goal_m: Sequence[float]) -> Array:
+    """Planar distance of the load's frame O from the goal, (rows,) m."""
+    return np.hypot(position[:, 0] - goal_m[0], position[:, 1] - goal_m[1])
+
+
+def internal_forces(grips: Array, arms_W: Array) -> Array:
+    """The part of the grip wrenches that moves nothing, (rows, N, 6) N and N m.
+
+    What is left of the wrenches h after taking away the smallest set G^+ G h with the same effect on the load, where G
+    is the grasp matrix and "smallest" counts moments over the grasps' mean distance, so that N and N m can be added.
+    This is the usual pseudo-inverse split; for one arm it is zero by definition.
+
+    Args:
+        grips: wrench of each hand on the load at its grasp [f; t], (rows, N, 6), world.
+        arms_W: grasp points from the load's centre of mass, (rows, N, 3) m, world axes.
+    """
+    rows, count, _ = grips.shape
+    length = float(np.mean(np.linalg.norm(arms_W, axis=2))) or 1.0
+    G = np.zeros((rows, 6, count, 6))
+    for axis in range(3):
+        G[:, axis, :, axis] = 1.0
+        G[:, 3 + axis, :, 3 + axis] = 1.0
+    rx, ry, rz = np.moveaxis(arms_W, 2, 0)
+    for row, column, value in ((3, 1, -rz), (3, 2, ry), (4, 0, rz), (4, 2, -rx), (5, 0, -ry), (5, 1, rx)):
+        G[:, row, :, column] = value
+    scale = np.array([1.0, 1.0, 1.0, length, length, length])
+    weighted = (G * scale).reshape(rows, 6, 6 * count)
+    h = (grips / scale).reshape(rows, 6 * count, 1)
+    across = np.swapaxes(weighted, 1, 2)
+    moving = across @ np.linalg.solve(weighted @ across, weighted @ h)
+    internal: Array = (h - moving).reshape(rows, count, 6) * scale
+    return internal
+
+
+def _path(time_s: Array, position: Array, velocity: Array, goal_m: Sequence[float] | None) -> Metrics:
+    steps = np.diff(position[:, :2], axis=0)
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    found: Metrics = {
+        "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+        "end_speed_mm_s": 1e3 * float(speed[time_s >= time_s[-1] - STANDSTILL_WINDOW_S].max()),
+        "goal_error_m": None,
+        "arrival_time_s": None,
+        "overshoot_m": None,
+        "drift_mm_per_min": None,
+    }
+    moved = position[-1, :2] - position[0, :2]
+    if goal_m is None:
+        minutes = (time_s[-1] - time_s[0]) / 60
+        found["drift_mm_per_min"] = 1e3 * float(np.hypot(*moved)) / minutes if minutes > 0 else None
+        return found
+    distance = goal_distance_m(position, goal_m)
+    found["goal_error_m"] = float(distance[-1])
+    away = np.flatnonzero(distance > ARRIVED_WITHIN_M)
+    if away.size == 0:
+        found["arrival_time_s"] = float(time_s[0])
+    elif away[-1] + 1 < time_s.size:
+        found["arrival_time_s"] = float(time_s[away[-1] + 1])
+    way = np.array(goal_m) - position[0, :2]
+    length = float(np.hypot(*way))
+    if length > 0:
+        found["overshoot_m"] = max(0.0, float(((position[:, :2] - goal_m) @ way).max()) / length)
+    return found
+
+
+def _attitude(position: Array, quat: Array) -> Metrics:
+    tilt = tilt_deg(quat)
+    sag = 1e3 * np.abs(position[:, 2] - position[0, 2])
+    yaw = roll_pitch_yaw_deg(quat)[:, 2]
+    return {
+        "tilt_max_deg": float(tilt.max()),
+        "tilt_rms_deg": _rms(tilt),
+        "sag_max_mm": float(sag.max()),
+        "sag_rms_mm": _rms(sag),
+        "yaw_max_deg": float(np.abs(yaw - yaw[0]).max()),
+    }
+
+
+def _forces(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
+    R_WO = rotation_matrices(trace["load.quat_wxyz"])
+    centre = np.array(facts.centre_of_mass_m)
+    arms_O = np.array([facts.grasps_m[arm] for arm in facts.arms]) - centre
+    grips = np.stack([trace[f"{arm}.grip"] for arm in facts.arms], axis=1)
+    internal = internal_forces(grips, np.einsum("tij,nj->tni", R_WO, arms_O))
+    weight = facts.load_mass_kg * GRAVITY_M_S2
+    pull = np.linalg.norm(trace["leader.force"], axis=1)
+    led = facts.goal_m is not None
+    return {
+        "internal_force_rms_N": float(np.sqrt(np.mean(np.sum(internal[:, :, :3] ** 2, axis=2)))),
+        "grip_force_max_N": float(np.linalg.norm(grips[:, :, :3], axis=2).max()),
+        "load_share": {arm: float(grips[:, k, 2].mean()) / weight for k, arm in enumerate(facts.arms)},
+        "leader_force_max_N": float(pull.max()) if led else None,
+        "leader_impulse_Ns": float(np.trapezoid(pull, trace["time_s"])) if led else None,
+    }
+
+
+def _effort(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
+    time_s = trace["time_s"]
+    tau = np.stack([trace[f"{arm}.tau"] for arm in facts.arms], axis=1)
+    qd = np.stack([trace[f"{arm}.qd"] for arm in facts.arms], axis=1)
+    power = np.abs(tau * qd).sum(axis=(1, 2))
+    for arm in facts.arms:
+        yaw = trace[f"{arm}.base"][:, 2]
+        force, velocity = trace[f"{arm}.base_force"], trace[f"{arm}.base_velocity"]
+        along = force[:, 0] * np.cos(yaw) - force[:, 1] * np.sin(yaw)
+        across = force[:, 0] * np.sin(yaw) + force[:, 1] * np.cos(yaw)
+        power = power + np.abs(along * velocity[:, 0] + across * velocity[:, 1] + force[:, 2] * velocity[:, 2])
+    return {
+        "torque_rms_Nm": _rms(tau),
+        "torque_limit_fraction": float((np.abs(tau) / np.array(facts.torque_max_Nm)).max()),
+        "energy_J": float(np.trapezoid(power, time_s)),
+    }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

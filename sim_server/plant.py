@@ -1,0 +1,65 @@
+"""What the server needs of a plant: the border between the wire and whatever moves, a simulation or real arms.
+
+The state that agents get comes from :meth:`Plant.read` alone, so nothing that only a simulator knows can slip in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the sensors of one arm say; fields as in :class:`wire.messages.State`."""
+
+    q: Array
+    qd: Array
+    tau: Array
+    wrench: Array
+
+
+@dataclass(frozen=True, slots=True)
+class LoadPose:
+    """Where the load's frame O is and how it moves, in the world frame."""
+
+    position: Array
+    """(3,) m."""
+    quat_wxyz: Array
+    """(4,)."""
+    linear_velocity: Array
+    """(3,) m/s, of the origin of O."""
+    angular_velocity: Array
+    """(3,) rad/s, world frame."""
+
+
+class Plant(Protocol):
+    """The robots' drivers and sensors, the load, and time."""
+
+    def read(self) -> Mapping[str, Reading]:
+        """Sensor readings of all arms at this tick; drawn once per tick."""
+        ...
+
+    def load_pose(self) -> LoadPose: ...
+
+    def pull(self, point: str, force: Array) -> None:
+        """The leader's force, (3,) N world, at a named point of the load; held until the next one."""
+        ...
+
+    def command(self, arm: str, torque: Array, base_force: Array, stiffness: Array) -> None:
+        """This tick's command for one arm (``stiffness`` is recorded only); an arm without one has missed the tick."""
+        ...
+
+    def lose(self, arm: str) -> None: ...
+
+    def regain(self, arm: str) -> None: ...
+
+    def step(self) -> None:
+        """Advance to the next tick."""
+        ...

@@ -1,0 +1,169 @@
+"""Who is in: greetings, goodbyes and signs of life of all agents, and the one inbox that everything arrives in.
+
+Transport threads only put things into the inbox; the server's own thread takes them out. No lock is needed.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from wire.codec import decode_any, encode
+from wire.errors import Reason, Refused
+from wire.keys import ANY_HELLO, ArmKeys, Keys
+from wire.lifecycle import AgentLink, Invitation, Phase
+from wire.link import Link, Publisher, Question
+from wire.messages import Goodbye, Hello, Refusal, Vector, Welcome
+
+LEADER = "leader"
+
+Kind = Literal["answer", "alive", "gone", "question", "order"]
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """Something that came in: of which agent (or ``""``), and what."""
+
+    kind: Kind
+    name: str
+    payload: bytes = b""
+    question: Question | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What an agent is told in its welcome."""
+
+    clock: Literal["lock-step", "real-time"]
+    period_ns: int
+    points: dict[str, Vector]
+
+
+@dataclass(slots=True)
+class Agent:
+    """One agent: its life, how to reach it, and who it said it is."""
+
+    link: AgentLink
+    terms: Terms
+    publisher: Publisher
+    hello: Hello | None = None
+
+    @property
+    def is_in(self) -> bool:
+        """Whether it gets states."""
+        return self.link.phase in (Phase.READY, Phase.TICKING)
+
+
+Report = Callable[..., None]
+"""``report(kind, **details)``: where events go."""
+
+
+class Reception:
+    """All agents of one run.
+
+    Args:
+        link: the server's link.
+        keys: of this run.
+        invitations: whom to expect and on which terms, the leader under the name ``leader``.
+        report: called for every event: joined, lost, left, refused.
+    """
+
+    def __init__(
+        self, link: Link, keys: Keys, invitations: Iterable[tuple[Invitation, Terms]], report: Report
+    ) -> None:
+        self._keys, self._report = keys, report
+        self.inbox: queue.SimpleQueue[Arrived] = queue.SimpleQueue()
+        self.agents: dict[str, Agent] = {}
+        self.strangers_refused = 0
+        for invitation, terms in invitations:
+            name = invitation.name
+            theirs = self._keys_of(name)
+            self.agents[name] = Agent(AgentLink(invitation), terms, link.publisher(theirs.state))
+            link.subscribe(theirs.command, self._putter("answer", name))
+            link.watch_alive(theirs.alive, self._on_alive(name))
+        for expression in ANY_HELLO:
+            link.answer_queries(expression, lambda question: self.inbox.put(Arrived("question", "", b"", question)))
+        link.subscribe(keys.order, self._putter("order", ""))
+        link.declare_alive(keys.sim_alive)
+
+    def _keys_of(self, name: str) -> ArmKeys:
+        return self._keys.leader if name == LEADER else self._keys.arm(name)
+
+    def _putter(self, kind: Kind, name: str) -> Callable[[bytes], None]:
+        inbox = self.inbox
+        return lambda payload: inbox.put(Arrived(kind, name, payload))
+
+    def _on_alive(self, name: str) -> Callable[[bool], None]:
+        inbox = self.inbox
+        return lambda alive: inbox.put(Arrived("alive" if alive else "gone", name))
+
+    @property
+    def followers(self) -> dict[str, Agent]:
+        """All agents but the leader."""
+        return {name: agent for name, agent in self.agents.items() if name != LEADER}
+
+    def missing(self) -> list[str]:
+        """Names of those who are not in."""
+        return [name for name, agent in self.agents.items() if not agent.is_in]
+
+    def match(self) -> list[str]:
+        """Let those in whose links have come up in both directions; return their names."""
+        ready = []
+        for name, agent in self.agents.items():
+            if agent.link.phase is Phase.HELLO and agent.publisher.matched():
+                agent.link.matched()
+                ready.append(name)
+                hello = agent.hello
+                self._report("joined", agent=name, lease=agent.link.lease, pid=hello.pid if hello else 0)
+        return ready
+
+    def answer(self, question: Question) -> str | None:
+        """Reply to a greeting or a goodbye; the name of an agent that left, or None."""
+        name = self._named(question.key)
+        agent = self.agents.get(name)
+        try:
+            message = decode_any(question.payload)
+            run = question.key.split("/")[1]
+            if run != self._keys.run:
+                raise Refused(Reason.RUN, "run", run, self._keys.run, "Give the simulator's run name with --run")
+            if agent is None:
+                raise Refused(Reason.ARM, "name", name, "an arm of this run")
+            if isinstance(message, Goodbye):
+                agent.link.goodbye(message)
+                question.reply(encode(message))
+                self._report("left", agent=name)
+                return name
+            if not isinstance(message, Hello):
+                raise Refused(Reason.TYPE, "type", type(message).__name__, "hello or goodbye")
+            lease = agent.link.greet(message)
+        except Refused as refusal:
+            self.refuse(name, refusal)
+            question.reply(encode(Refusal(refusal.reason, str(refusal))))
+            return None
+        agent.hello = message
+        terms = agent.terms
+        question.reply(encode(Welcome(lease, terms.clock, terms.period_ns, terms.points)))
+        return None
+
+    @staticmethod
+    def _named(key: str) -> str:
+        parts = key.split("/")
+        return parts[3] if len(parts) == 5 else LEADER
+
+    def refuse(self, name: str, refusal: Refused) -> None:
+        """Count a refusal; report the first of each kind and agent."""
+        agent = self.agents.get(name)
+        if agent is None:
+            self.strangers_refused += 1
+            first = self.strangers_refused == 1
+        else:
+            agent.link.count_refusal(refusal.reason)
+            first = agent.link.refused[refusal.reason] == 1
+        if first:
+            self._report("refused", agent=name, reason=refusal.reason, text=str(refusal))
+
+    def refused(self) -> int:
+        """Number of messages refused so far."""
+        return self.strangers_refused + sum(sum(agent.link.refused.values()) for agent in self.agents.values())

@@ -1,0 +1,191 @@
+"""A scenario: the whole of what is carried, by whom, where to, and what counts as success.
+
+Scenarios are TOML files. Those in ``sim_server/scenarios`` ship with the package; any path works as well. Every key
+has a unit in its name, every number is checked, unknown keys are refused. ``extends = "transport"`` starts from
+another scenario and changes only what the file names.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Vector2 = tuple[Finite, Finite]
+Vector3 = tuple[Finite, Finite, Finite]
+
+LoadPoint = Literal["centre", "front", "back", "left", "right"]
+
+
+class Section(BaseModel):
+    """A table of a scenario file: immutable, unknown keys refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Clock(Section):
+    """How simulated time relates to the agents' answers."""
+
+    mode: Literal["lock-step"] = "lock-step"
+    control_period_ms: Annotated[int, Field(ge=1, le=20)] = 1
+    """Time from one tick to the next; the control law runs once per tick."""
+    answer_timeout_s: Positive = 5.0
+    """Wall time after which lock-step goes on without an agent that has not answered: that tick is missed."""
+    start_timeout_s: Positive = 60.0
+    """Wall time that the simulator waits for the agents before tick 0."""
+
+
+class Team(Section):
+    """The bearers: how many, with which arm, standing where, under which law."""
+
+    count: Annotated[int, Field(ge=1, le=16)]
+    arm: str = "panda"
+    controller: str = "paper"
+    """A controller's name or ``module:Class``."""
+    gains: dict[str, Any] = {}
+    """The controller's settings; the agents check them."""
+    handover_s: NotNegative = 1.0
+    """Time over which a follower's torque passes from what its arm carried at take-over to what the law wants."""
+    missed_ticks_until_lost: Annotated[int, Field(ge=1)] = 20
+    """Ticks without an answer, in a row, after which an arm is lost (as on the arm's own interface)."""
+    on_lost: Literal["limp"] = "limp"
+    """What a lost arm does. ``limp``: gravity compensated and damped, still holding; its base rolls freely."""
+
+
+class Load(Section):
+    """The rigid load. Its frame O sits at the middle of its footprint on the level of its lowest point, x forward."""
+
+    shape: Literal["table", "crate"] = "table"
+    """``table``: top, four legs, struts under the top. ``crate``: a closed box, struts around its waist."""
+    size_m: tuple[Positive, Positive, Positive] = (1.6, 0.9, 0.75)
+    """Length along x, width along y, height along z."""
+    mass_kg: Positive = 20.0
+    centre_of_mass_offset_m: Vector3 = (0.0, 0.0, 0.0)
+    """Shift of the centre of mass from where the shape puts it, in O."""
+    struts: Annotated[int, Field(ge=1, le=16)] = 4
+    """Places to grasp, laid out evenly around the rim."""
+
+
+class Leader(Section):
+    """The one who knows the goal: a bounded proportional pull with damping at a named point of the load."""
+
+    goal_m: Vector2
+    """Where the load's frame O shall end, in the world's plane; the load starts at (0, 0)."""
+    force_max_N: Positive = 40.0
+    stiffness_N_m: NotNegative = 40.0
+    damping_Ns_m: NotNegative = 120.0
+    point: LoadPoint = "front"
+    period_ms: Annotated[int, Field(ge=1)] = 10
+    """The leader looks and pulls once in this time."""
+
+
+class Base(Section):
+    """The mobile base: planar, force-driven, pushed by whatever pushes the arm."""
+
+    mass_kg: Positive = 80.0
+    yaw_inertia_kg_m2: Positive = 5.0
+    rolling_resistance_Ns_m: NotNegative = 600.0
+    yaw_resistance_Nms_rad: NotNegative = 60.0
+    force_max_N: Positive = 1000.0
+    torque_max_Nm: Positive = 200.0
+
+
+class Plant(Section):
+    """The world, and how it differs from what the agents believe. All differences are drawn from the seed."""
+
+    physics_step_ms: Annotated[int, Field(ge=1, le=10)] = 1
+    link_mass_error: Annotated[float, Field(ge=0, lt=1)] = 0.03
+    """Each link's mass and inertia is off by a factor drawn from 1 +- this (uniform)."""
+    joint_damping_Nms_rad: NotNegative = 0.5
+    """Viscous joint friction that the agents' model does not have; each joint draws 0.5 to 1.5 times this."""
+    joint_friction_Nm: NotNegative = 0.2
+    """Dry joint friction that the agents' model does not have; each joint draws 0.5 to 1.5 times this."""
+    position_noise_rad: NotNegative = 1e-5
+    velocity_noise_rad_s: NotNegative = 1e-3
+    torque_noise_Nm: NotNegative = 0.05
+    wrench_noise_N: NotNegative = 0.2
+    wrench_noise_Nm: NotNegative = 0.02
+    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0
+    """Ticks between an agent's answer and the motor driver that obeys it."""
+
+
+class Record(Section):
+    """What goes into trace.parquet."""
+
+    every_ticks: Annotated[int, Field(ge=1)] = 5
+
+
+class Event(Section):
+    """A thing ordered at a simulated time. The kinds come with the issue on coming and going; none exists yet."""
+
+    at_s: NotNegative
+    kind: Literal["none"]
+
+
+class Bound(Section):
+    """The bounds of one metric; at least one of the two."""
+
+    min: Finite | None = None
+    max: Finite | None = None
+
+    @model_validator(mode="after")
+    def _some_bound(self) -> Bound:
+        if self.min is None and self.max is None:
+            raise ValueError("a bound needs `min`, `max` or both")
+        return self
+
+
+class Scenario(Section):
+    """One scenario file, checked."""
+
+    description: str
+    seed: Annotated[int, Field(ge=0)] = 1
+    duration_s: Positive = 25.0
+    clock: Clock = Clock()
+    team: Team
+    load: Load = Load()
+    leader: Leader | None = None
+    base: Base = Base()
+    plant: Plant = Plant()
+    record: Record = Record()
+    events: tuple[Event, ...] = ()
+    expect: dict[str, Bound] = {}
+
+    @field_validator("duration_s")
+    @classmethod
+    def _not_endless(cls, value: float) -> float:
+        if value > 86_400:
+            raise ValueError("longer than a day")
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Scenario:
+        if self.team.count > self.load.struts:
+            raise ValueError(
+                f"team.count: {self.team.count} arms but load.struts = {self.load.struts}: each arm needs a strut"
+            )
+        if self.clock.control_period_ms % self.plant.physics_step_ms:
+            raise ValueError(
+                f"clock.control_period_ms: {self.clock.control_period_ms} is not a multiple of "
+                f"plant.physics_step_ms = {self.plant.physics_step_ms}"
+            )
+        if self.leader and self.leader.period_ms % self.clock.control_period_ms:
+            raise ValueError(
+                f"leader.period_ms: {self.leader.period_ms} is not a multiple of "
+                f"clock.control_period_ms = {self.clock.control_period_ms}"
+            )
+        return self
+
+    @property
+    def ticks(self) -> int:
+        """Number of control ticks of the whole run."""
+        return math.ceil(self.duration_s * 1000 / self.clock.control_period_ms)
+
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """Names of the arms, ``a1`` to ``aN``; arm ``ak`` starts at strut k - 1."""
+        return tuple(f"a{k}" for k in range(1, self.team.count + 1))

@@ -1,0 +1,124 @@
+"""Scenario files: where they are found, how ``extends`` is resolved, and how a bad one is reported."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from sim_server.errors import ScenarioError
+from sim_server.scenario import Scenario
+
+SHIPPED = Path(__file__).parent / "scenarios"
+
+
+@dataclass(frozen=True, slots=True)
+class NamedScenario:
+    """A checked scenario and where it came from."""
+
+    name: str
+    source: str
+    scenario: Scenario
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Names of the scenarios that come with the package."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+
+
+def load_scenario(name_or_path: str, changes: Mapping[str, Any] | None = None) -> NamedScenario:
+    """Read and check a scenario.
+
+    Args:
+        name_or_path: the name of a shipped scenario, or a path to a TOML file.
+        changes: tables that are laid over the file, as from the command line (``{"seed": 3}``).
+
+    Raises:
+        ScenarioError: no such scenario, not TOML, an unknown key, or a value that cannot be; with file and key.
+    """
+    path = _find(name_or_path)
+    tables = _read(path, ())
+    merged = _overlay(tables, changes or {})
+    try:
+        scenario = Scenario.model_validate(merged)
+    except ValidationError as error:
+        raise _explain(path, error.errors()) from None
+    return NamedScenario(path.stem, str(path) if path.parent != SHIPPED else path.name, scenario)
+
+
+def _find(name_or_path: str) -> Path:
+    shipped = SHIPPED / f"{name_or_path}.toml"
+    if "/" not in name_or_path and shipped.is_file():
+        return shipped
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    near = get_close_matches(name_or_path, shipped_names(), n=1)
+    raise ScenarioError(
+        name_or_path,
+        "",
+        "no scenario of this name and no such file",
+        expected=f"one of {', '.join(shipped_names())}, or a path to a TOML file",
+        fix=f"Did you mean {near[0]}?" if near else "",
+    )
+
+
+def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
+    """The file's tables, laid over those of the scenario that it extends."""
+    if path in seen:
+        raise ScenarioError(path.name, "extends", "the scenarios extend each other in a circle")
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise ScenarioError(path.name, "", f"cannot be read as TOML: {error}") from None
+    parent = tables.pop("extends", None)
+    if parent is None:
+        return tables
+    if not isinstance(parent, str):
+        raise ScenarioError(path.name, "extends", f"got {parent!r}", expected="the name of a scenario")
+    beside = path.parent / f"{parent}.toml"
+    return _overlay(_read(beside if beside.is_file() else _find(parent), (*seen, path)), tables)
+
+
+def _overlay(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables merged key by key; anything else of ``above`` replaces what is below. A metric's bound is one value."""
+    merged = dict(below)
+    for key, value in above.items():
+        old = merged.get(key)
+        is_bound = isinstance(value, Mapping) and not value.keys() - {"min", "max"}
+        merged[key] = _overlay(old, value) if isinstance(old, dict) and isinstance(value, Mapping) and not is_bound else value
+    return merged
+
+
+def _explain(path: Path, errors: list[ErrorDetails]) -> ScenarioError:
+    """The first thing that is wrong, in our words."""
+    first = errors[0]
+    key = ".".join(str(part) for part in first["loc"])
+    message = first["msg"].removeprefix("Value error, ")
+    more = f" ({len(errors) - 1} more)" if len(errors) > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return ScenarioError(path.name, key, f"unknown key{more}", expected=_known_keys(first["loc"]))
+    if first["type"] == "missing":
+        return ScenarioError(path.name, key, f"missing{more}", expected="this key")
+    if not key and ": " in message:
+        key, message = message.split(": ", 1)
+        return ScenarioError(path.name, key, message + more)
+    return ScenarioError(path.name, key, f"{message}{more}; got {first['input']!r}")
+
+
+def _known_keys(place: tuple[int | str, ...]) -> str:
+    """The keys that are known where the unknown one stands."""
+    model: Any = Scenario
+    for part in place[:-1]:
+        annotation = model.model_fields[part].annotation if hasattr(model, "model_fields") and part in model.model_fields else None
+        options = [annotation, *getattr(annotation, "__args__", ())]
+        model = next((option for option in options if hasattr(option, "model_fields")), None)
+        if model is None:
+            return "no such key here"
+    return "one of " + ", ".join(model.model_fields)

@@ -1,0 +1,196 @@
+"""The world's bodies, written as a MuJoCo specification: floor, light, load, robots, grasps, sensors.
+
+The one place where a model is specified; ``world.py`` says where everything stands and what its addresses are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from sim_server.differences import JOINTS, ArmDifferences
+from sim_server.layout import Array, Pose
+from sim_server.loads import LoadBody
+from sim_server.parts import MEETS, Colour, Part, Touch
+from sim_server.robots import ACCENTS, R_SE, base_parts
+from sim_server.scenario import Base, Scenario
+from wire.arms import arm_path
+
+FINGERS = ("left_finger", "right_finger")
+WELD_SOLREF = (0.004, 1.0)
+WELD_SOLIMP = (0.98, 0.999, 0.001, 0.5, 2.0)
+"""A stiff grasp: the weld gives by micrometres under a load's weight."""
+
+
+def compile_scene(
+    scenario: Scenario, load: LoadBody, X_WO: Pose, pedestal_m: float, differences: Mapping[str, ArmDifferences]
+) -> tuple[Any, Any]:
+    """Compiled model and its data. The load stands at ``X_WO``; arm ``ak`` is welded to strut k - 1.
+
+    The robots are still at the origin: write their joints into ``data.qpos``, then :func:`refresh`.
+    """
+    spec = _scene(scenario)
+    _add_load(spec, load, X_WO)
+    for index, (name, different) in enumerate(differences.items()):
+        accent = ACCENTS[index % len(ACCENTS)]
+        _add_robot(spec, name, scenario.team.arm, scenario.base, pedestal_m, accent, different)
+        _add_weld(spec, name, f"grasp{index + 1}")
+    model = spec.compile()
+    return model, mujoco.MjData(model)
+
+
+def refresh(model: Any, data: Any) -> None:
+    """Everything that follows from positions, velocities and forces: nothing moves, nothing is integrated."""
+    mujoco.mj_forward(model, data)
+
+
+def tool_pose(arm: str, q: Array) -> Pose:
+    """Pose of the tool centre in the arm's own base frame, by the description."""
+    model = mujoco.MjModel.from_xml_path(str(arm_path(arm)))
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    tcp = data.site("tcp")
+    return Pose(tcp.xpos.copy(), tcp.xmat.reshape(3, 3).copy())
+
+
+def _scene(scenario: Scenario) -> Any:
+    spec = mujoco.MjSpec()
+    spec.modelname = "palanquin"
+    spec.option.timestep = scenario.plant.physics_step_ms / 1000
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.35] * 3
+    spec.visual.quality.shadowsize = 8192
+    spec.visual.map.shadowclip, spec.visual.map.zfar = 6, 12  # smaller, larger: false shadows speckle the floor
+    span = max(scenario.load.size_m)
+    spec.stat.center, spec.stat.extent = [0, 0, 0.5], 1.5 + span
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.95, 0.97],
+        rgb2=[0.72, 0.78, 0.84],
+        width=256,
+        height=256,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.80, 0.81, 0.82],
+        rgb2=[0.75, 0.76, 0.77],
+        width=256,
+        height=256,
+    )
+    textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    # Two squares to a repeat: squares of 1 m.
+    spec.add_material(name="floor", textures=textures, texrepeat=[0.5, 0.5], texuniform=True, specular=0)
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[-1.4, -1, 4], dir=[0.35, 0.25, -1], diffuse=[0.5] * 3
+    )
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 0.05],
+        material="floor",
+        contype=Touch.FLOOR,
+        conaffinity=MEETS[Touch.FLOOR],
+    )
+    return spec
+
+
+def _add_parts(body: Any, parts: list[Part]) -> None:
+    """Shapes of a body: to be looked at and to be touched, without mass."""
+    for part in parts:
+        x, y, z = part.size
+        box = part.shape == "box"
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX if box else mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[x / 2, y / 2, z / 2] if box else [x / 2, z / 2, 0],
+            pos=part.X.p,
+            quat=_quat_wxyz(part.X.R),
+            rgba=[*part.colour, 1],
+            contype=part.touch,
+            conaffinity=MEETS[part.touch],
+            mass=0,
+        )
+
+
+def _add_load(spec: Any, load: LoadBody, X_WO: Pose) -> None:
+    body = spec.worldbody.add_body(name="load", pos=X_WO.p, quat=_quat_wxyz(X_WO.R))
+    body.add_freejoint(name="load")
+    I = load.inertia.I
+    body.explicitinertial = True
+    body.mass, body.ipos = load.inertia.mass, load.inertia.com
+    body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
+    _add_parts(body, load.parts)
+    for k, X_OS in enumerate(load.struts, start=1):
+        X_OE = X_OS.compose(Pose(np.zeros(3), R_SE))
+        body.add_site(name=f"grasp{k}", pos=X_OE.p, quat=_quat_wxyz(X_OE.R), group=4)
+
+
+def _add_robot(
+    spec: Any, name: str, arm: str, base: Base, pedestal: float, accent: Colour, differences: ArmDifferences
+) -> None:
+    # The body stays at the world's origin, so that the slide axes are the world's and qpos is the base's pose.
+    body = spec.worldbody.add_body(name=f"{name}/base")
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    rolling, turning = [base.rolling_resistance_Ns_m, 0, 0], [base.yaw_resistance_Nms_rad, 0, 0]
+    body.add_joint(name=f"{name}/base_x", type=slide, axis=[1, 0, 0], damping=rolling)
+    body.add_joint(name=f"{name}/base_y", type=slide, axis=[0, 1, 0], damping=rolling)
+    body.add_joint(name=f"{name}/base_yaw", type=hinge, axis=[0, 0, 1], damping=turning)
+    body.explicitinertial = True
+    body.mass, body.ipos = base.mass_kg, [0, 0, 0.15]
+    izz = base.yaw_inertia_kg_m2
+    body.inertia = [0.6 * izz, 0.6 * izz, izz]  # roll and pitch do not move: any numbers that a body can have
+    _add_parts(body, base_parts(pedestal, accent))
+
+    child = mujoco.MjSpec.from_file(str(arm_path(arm)))
+    _apply(child, differences)
+    for finger in ("hand", *FINGERS):
+        for geom in child.body(finger).geoms:
+            if geom.group == 3:  # the description's collision boxes
+                geom.contype, geom.conaffinity = Touch.HAND, MEETS[Touch.HAND]
+    site = mujoco.mjtObj.mjOBJ_SITE
+    child.add_sensor(name="wrist_force", type=mujoco.mjtSensor.mjSENS_FORCE, objtype=site, objname="wrist")
+    child.add_sensor(name="wrist_torque", type=mujoco.mjtSensor.mjSENS_TORQUE, objtype=site, objname="wrist")
+    spec.attach(child, prefix=f"{name}/", frame=body.add_frame(pos=[0, 0, pedestal]))
+
+
+def _apply(arm: Any, differences: ArmDifferences) -> None:
+    """Make one arm's specification differ from its description."""
+    groups = [(f"link{k}",) for k in range(1, JOINTS + 1)] + [("hand", *FINGERS)]
+    for names, scale in zip(groups, differences.link_scale, strict=True):
+        for name in names:
+            body = arm.body(name)
+            body.mass *= scale
+            body.fullinertia *= scale
+    for k in range(JOINTS):
+        joint = arm.joint(f"joint{k + 1}")
+        joint.damping = [differences.joint_damping[k], 0, 0]
+        joint.frictionloss = differences.joint_friction[k]
+
+
+def _add_weld(spec: Any, name: str, grasp: str) -> None:
+    spec.add_equality(
+        name=f"{name}/grasp",
+        type=mujoco.mjtEq.mjEQ_WELD,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=f"{name}/tcp",
+        name2=grasp,
+        solref=WELD_SOLREF,
+        solimp=WELD_SOLIMP,
+    )
+
+
+def _quat_wxyz(R: Array) -> Array:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R).ravel())
+    return quat

@@ -1,0 +1,301 @@
+"""The simulator process: builds the world of a scenario, lets the agents in, runs the clock, leaves a run folder."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_server.errors import SimError
+from sim_server.lockstep import LockStep, Stopped
+from sim_server.metrics import tilt_deg
+from sim_server.mujoco_plant import MujocoPlant
+from sim_server.reception import LEADER, Arrived, Reception, Terms
+from sim_server.run_folder import METRICS, RUN, RunFolder, compute_metrics, versions, write_json
+from sim_server.scenario import Scenario
+from sim_server.scenario_files import NamedScenario
+from sim_server.trace import TraceWriter
+from sim_server.verdict import Verdict
+from sim_server.world import World, build_world
+from wire.arms import arm_digest
+from wire.arms.limits import arm_limits
+from wire.codec import encode
+from wire.keys import Keys
+from wire.lifecycle import Invitation
+from wire.link import Link
+from wire.messages import End, Order, Progress
+
+log = logging.getLogger("palanquin.sim")
+
+PROGRESS_S = 0.1
+"""Wall time between two reports of progress."""
+FAREWELL_S = 2.0
+"""Wall time that the agents get to hear the end."""
+
+
+class NobodyCame(SimError):
+    """Not all agents greeted in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a run ended."""
+
+    verdict: Verdict
+    completed: bool
+    why: str
+
+
+class Server:
+    """One run of one scenario.
+
+    Args:
+        link: a listening link.
+        named: the scenario.
+        run: name of the run, part of every key.
+        folder: where the run's files go.
+    """
+
+    def __init__(self, link: Link, named: NamedScenario, run: str, folder: RunFolder) -> None:
+        self._named, self._run_name, self._folder = named, run, folder
+        self._scenario = named.scenario
+        self._world: World = build_world(self._scenario)
+        self._plant = MujocoPlant(self._world)
+        keys = Keys(run)
+        self._progress = link.publisher(keys.progress)
+        self._reception = Reception(link, keys, self._invitations(), self._report)
+        leader = self._scenario.leader
+        self._clock = LockStep(
+            self._reception,
+            self._plant,
+            period_ns=self._scenario.clock.control_period_ms * 1_000_000,
+            leader_every=leader.period_ms // self._scenario.clock.control_period_ms if leader else 1,
+            leader_force_max=leader.force_max_N if leader else 0.0,
+            answer_timeout_s=self._scenario.clock.answer_timeout_s,
+            report=self._report,
+        )
+        self._start_wall = 0.0
+        self._last_progress = 0.0
+        self._started_at = datetime.now(UTC)
+
+    def _invitations(self) -> Iterator[tuple[Invitation, Terms]]:
+        scenario = self._scenario
+        team, clock = scenario.team, scenario.clock
+        digest, joints = arm_digest(team.arm), arm_limits(team.arm).joints
+        period_ns = clock.control_period_ms * 1_000_000
+        for arm in scenario.arms:
+            yield (
+                Invitation(self._run_name, "follower", arm, team.arm, digest, joints, team.missed_ticks_until_lost),
+                Terms(clock.mode, period_ns, {}),
+            )
+        if scenario.leader is not None:
+            yield (
+                Invitation(self._run_name, "leader", LEADER, "", "", 0, team.missed_ticks_until_lost),
+                Terms(clock.mode, scenario.leader.period_ms * 1_000_000, dict(self._plant.points)),
+            )
+
+    def _report(self, kind: str, **details: object) -> None:
+        self._folder.event(self._plant.tick, self._plant.time_s, kind, **details)
+        log.info("%s %s", kind, details)
+
+    def stop(self) -> None:
+        """End the run before the next tick, keeping what was recorded. May be called from any thread or a signal."""
+        self._reception.inbox.put(Arrived("order", "", encode(Order("stop"))))
+
+    def run(self) -> Outcome:
+        """Wait for the agents, run to the end, write the folder.
+
+        Raises:
+            NobodyCame: not all agents were there in time; nothing but the events is left.
+        """
+        try:
+            try:
+                self._wait_for_agents()
+            except Stopped:
+                raise NobodyCame("stopped before the first tick: nothing was recorded") from None
+            completed, why = self._run_ticks()
+            return self._conclude(completed, why)
+        finally:
+            self._say_end("the run is over")
+            self._folder.close()
+
+    def _wait_for_agents(self) -> None:
+        reception = self._reception
+        deadline = time.monotonic() + self._scenario.clock.start_timeout_s
+        while True:
+            while not reception.inbox.empty():
+                self._clock.take(reception.inbox.get())
+            self._clock.admit()
+            missing = reception.missing()
+            if not missing:
+                return
+            if time.monotonic() > deadline:
+                raise NobodyCame(
+                    f"waited {self._scenario.clock.start_timeout_s:g} s for {', '.join(missing)}: not there; see the "
+                    "logs of those agents"
+                )
+            self._publish_progress("waiting", ", ".join(missing))
+            time.sleep(0.005)
+
+    def _run_ticks(self) -> tuple[bool, str]:
+        scenario, plant, clock = self._scenario, self._plant, self._clock
+        trace = TraceWriter(self._folder.trace, scenario.arms, arm_limits(scenario.team.arm).joints)
+        self._start_wall = time.monotonic()
+        self._report("started")
+        try:
+            for tick in range(scenario.ticks):
+                clock.tick(tick)
+                before = plant.state_row() if tick % scenario.record.every_ticks == 0 else None
+                stepping = time.perf_counter_ns()
+                plant.step()
+                stepped = time.perf_counter_ns()
+                if before is not None:
+                    trace.append(plant.force_row(before))
+                if time.monotonic() - self._last_progress > PROGRESS_S:
+                    self._publish_progress("running", "")
+                clock.timings.step.append(stepped - stepping)
+                clock.timings.record.append(time.perf_counter_ns() - stepped)
+        except Stopped:
+            return False, "stopped by the operator"
+        finally:
+            trace.close()
+        return True, "reached its duration"
+
+    def _conclude(self, completed: bool, why: str) -> Outcome:
+        wall_s = time.monotonic() - self._start_wall
+        self._report("ended", why=why)
+        folder = self._folder.path
+        write_json(folder / RUN, self._description(completed, why, wall_s))
+        if not self._plant.tick:
+            return Outcome("unknown", completed, why)
+        metrics, _ = compute_metrics(folder)
+        write_json(folder / METRICS, metrics)
+        return Outcome(metrics["verdict"], completed, why)
+
+    def _description(self, completed: bool, why: str, wall_s: float) -> dict[str, Any]:
+        scenario, world = self._scenario, self._world
+        agents = self._reception.agents
+        return {
+            "run": self._run_name,
+            "scenario_name": self._named.name,
+            "scenario_file": self._named.source,
+            "scenario": scenario.model_dump(mode="json"),
+            "seed": scenario.seed,
+            "clock": scenario.clock.mode,
+            "versions": versions(),
+            "started_at": self._started_at.isoformat(timespec="seconds"),
+            "ended": {"completed": completed, "why": why, "ticks": self._plant.tick},
+            "agents": {
+                name: {
+                    "pid": agent.hello.pid if agent.hello else None,
+                    "host": agent.hello.host if agent.hello else None,
+                    "phase": agent.link.phase,
+                    "lease": agent.link.lease,
+                    "missed_ticks": agent.link.missed,
+                    "refused": agent.link.refused,
+                }
+                for name, agent in agents.items()
+            },
+            "facts": {
+                "arms": list(scenario.arms),
+                "goal_m": list(scenario.leader.goal_m) if scenario.leader else None,
+                "load_mass_kg": world.load_mass,
+                "centre_of_mass_m": world.load_com.tolist(),
+                "grasps_m": {name: world.struts[ids.strut].p.tolist() for name, ids in world.arms.items()},
+                "torque_max_Nm": list(arm_limits(scenario.team.arm).torque_Nm),
+                "differences": {
+                    name: {
+                        "link_scale": ids.differences.link_scale.tolist(),
+                        "joint_damping_Nms_rad": ids.differences.joint_damping.tolist(),
+                        "joint_friction_Nm": ids.differences.joint_friction.tolist(),
+                    }
+                    for name, ids in world.arms.items()
+                },
+            },
+            "measured": self._measured(wall_s),
+        }
+
+    def _measured(self, wall_s: float) -> dict[str, Any]:
+        """What only the running system knows: wall times and refusals."""
+        timings = self._clock.timings
+        ticks = len(timings.record)
+        parts = {
+            name: np.array(getattr(timings, name)[:ticks], dtype=float) / 1e3
+            for name in ("send", "wait", "step", "record")
+        }
+        simulated_s = self._plant.time_s
+        return {
+            "real_time_factor": simulated_s / wall_s if wall_s > 0 else 0.0,
+            "wall_s": wall_s,
+            "tick_us": _spread(sum(parts.values(), np.zeros(ticks))),
+            "controller_us": _spread(np.array(timings.controller, dtype=float) / 1e3),
+            "tick_parts_us": {name: _spread(values) for name, values in parts.items()},
+            "refused_messages": self._reception.refused(),
+        }
+
+    def _publish_progress(self, phase: Any, waiting_for: str) -> None:
+        now = time.monotonic()
+        if now - self._last_progress < PROGRESS_S:
+            return
+        self._last_progress = now
+        pose = self._plant.load_pose()
+        leader = self._scenario.leader
+        distance = float(np.hypot(*(pose.position[:2] - leader.goal_m))) if leader else -1.0
+        wall_s = now - self._start_wall
+        self._progress.put(
+            encode(
+                Progress(
+                    phase=phase,
+                    waiting_for=waiting_for,
+                    tick=self._plant.tick,
+                    ticks=self._scenario.ticks,
+                    time_s=self._plant.time_s,
+                    real_time_factor=self._plant.time_s / wall_s if self._plant.tick else 0.0,
+                    tilt_deg=float(tilt_deg(pose.quat_wxyz[None])[0]),
+                    goal_distance_m=distance,
+                )
+            )
+        )
+
+    def _say_end(self, why: str) -> None:
+        """Tell the agents that it is over, and give them time to go."""
+        agents, inbox = self._reception.agents, self._reception.inbox
+        for agent in agents.values():
+            if agent.is_in:
+                agent.publisher.put(encode(End(why)))
+        still_in = {name for name, agent in agents.items() if agent.is_in}
+        deadline = time.monotonic() + FAREWELL_S
+        while still_in and time.monotonic() < deadline:
+            while not inbox.empty():
+                arrived = inbox.get()
+                if arrived.kind == "gone":
+                    still_in.discard(arrived.name)
+            time.sleep(0.005)
+
+
+def _spread(values: Any) -> dict[str, float]:
+    """Median and 99th percentile."""
+    if len(values) == 0:
+        return {"p50": 0.0, "p99": 0.0}
+    return {"p50": float(np.percentile(values, 50)), "p99": float(np.percentile(values, 99))}
+
+
+def default_folder(runs: Path, name: str) -> Path:
+    """A dated folder under ``runs`` that does not exist yet."""
+    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    path, k = runs / f"{stamp}_{name}", 1
+    while path.exists():
+        k += 1
+        path = runs / f"{stamp}_{name}_{k}"
+    return path
+
+
+def check_world(scenario: Scenario) -> None:
+    """Build the world of a scenario once, to see that it can be. Raises :class:`SimError`."""
+    build_world(scenario)

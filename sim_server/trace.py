@@ -1,0 +1,109 @@
+"""trace.parquet: one row per recorded tick, written in blocks while the run goes on.
+
+Columns: ``tick``, ``time_s``, ``load.position`` (3), ``load.quat_wxyz`` (4), ``load.linear_velocity`` (3),
+``load.angular_velocity`` (3), ``leader.force`` (3), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n, applied),
+``a1.wrench`` (6), ``a1.stiffness`` (n), ``a1.base`` (3: x, y, yaw in the world), ``a1.base_velocity`` (3), ``a1.base_force``
+(3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at the grasp, world) and ``a1.age_ticks``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BLOCK_ROWS = 1000
+
+
+def columns(arms: Iterable[str], joints: int) -> dict[str, int]:
+    """Name and width of every column, in order."""
+    named = {
+        "tick": 1,
+        "time_s": 1,
+        "load.position": 3,
+        "load.quat_wxyz": 4,
+        "load.linear_velocity": 3,
+        "load.angular_velocity": 3,
+        "leader.force": 3,
+    }
+    for arm in arms:
+        named |= {
+            f"{arm}.q": joints,
+            f"{arm}.qd": joints,
+            f"{arm}.tau": joints,
+            f"{arm}.wrench": 6,
+            f"{arm}.stiffness": joints,
+            f"{arm}.base": 3,
+            f"{arm}.base_velocity": 3,
+            f"{arm}.base_force": 3,
+            f"{arm}.grip": 6,
+            f"{arm}.age_ticks": 1,
+        }
+    return named
+
+
+class TraceWriter:
+    """Collects rows and writes them block by block; the file is whole after :meth:`close`."""
+
+    def __init__(self, path: Path, arms: Iterable[str], joints: int) -> None:
+        self._columns = columns(arms, joints)
+        self._schema = pa.schema([(name, _type(name, width)) for name, width in self._columns.items()])
+        self._writer: Any = pq.ParquetWriter(path, self._schema, compression="zstd")
+        self._block = np.empty((BLOCK_ROWS, sum(self._columns.values())))
+        self._filled = 0
+
+    def append(self, parts: list[Array]) -> None:
+        """One row, as the list of its columns' values in order, each (width,)."""
+        np.concatenate(parts, out=self._block[self._filled])
+        self._filled += 1
+        if self._filled == BLOCK_ROWS:
+            self._flush()
+
+    def _flush(self) -> None:
+        arrays, start = [], 0
+        for name, width in self._columns.items():
+            values = self._block[: self._filled, start : start + width]
+            start += width
+            flat = pa.array(np.ascontiguousarray(values).ravel())
+            if width > 1:
+                arrays.append(pa.FixedSizeListArray.from_arrays(flat, width))
+            else:
+                arrays.append(flat.cast(_type(name, width)))
+        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+        self._filled = 0
+
+    def close(self) -> None:
+        """Write what is left and finish the file."""
+        if self._filled:
+            self._flush()
+        self._writer.close()
+
+
+def _type(name: str, width: int) -> Any:
+    if width > 1:
+        return pa.list_(pa.float64(), width)
+    return pa.float64() if name == "time_s" else pa.int64()
+
+
+def read_trace(path: Path) -> Mapping[str, NDArray[Any]]:
+    """All columns as arrays: (rows,) or (rows, width).
+
+    Raises:
+        OSError, pyarrow.ArrowInvalid: there is no such file, or it is not whole.
+    """
+    table = pq.read_table(path)
+    found: dict[str, NDArray[Any]] = {}
+    for field in table.schema:
+        column = table.column(field.name).combine_chunks()
+        if pa.types.is_fixed_size_list(field.type):
+            found[field.name] = np.asarray(column.flatten()).reshape(-1, field.type.list_size)
+        else:
+            found[field.name] = np.asarray(column)
+    return found

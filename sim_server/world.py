@@ -1,0 +1,172 @@
+"""The world of a scenario: who stands where at the start, and the addresses of everything in the MuJoCo model.
+
+Every name of arm ``a1`` begins with ``a1/``: body ``a1/base``, joints ``a1/base_x``, ``a1/base_y``, ``a1/base_yaw``,
+``a1/joint1`` to ``a1/joint7``, sites ``a1/tcp`` and ``a1/wrist``, sensors ``a1/wrist_force`` and ``a1/wrist_torque``,
+weld ``a1/grasp``. The load is body ``load`` with joint ``load`` and, at strut k - 1, site ``grasp<k>`` (k from 1),
+oriented as the tool that grasps there.
+
+There are no actuators: motor torques and base forces go to ``data.qfrc_applied`` at the addresses given here, and the
+motor driver before it keeps the limits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim_server.differences import JOINTS, ArmDifferences, draw_differences
+from sim_server.layout import Array, Pose, base_poses, strut_level_m
+from sim_server.loads import load_body
+from sim_server.robots import R_SE, home, pedestal_height_m
+from sim_server.scenario import LoadPoint, Scenario
+from sim_server.scene import compile_scene, refresh, tool_pose
+
+
+@dataclass(frozen=True, eq=False)
+class ArmIds:
+    """Addresses of one robot in the model. The slices give views, for reading and for writing.
+
+    Attributes:
+        name: ``a1`` ...
+        strut: number of the strut it holds at the start, from 0; its site is ``grasp_site``.
+        base_qpos, base_dof: x, y [m], yaw [rad] of the base in the world: ``data.qpos[base_qpos]`` is the base's pose.
+        arm_qpos, arm_dof: the 7 joints of the arm. Motor torque: ``data.qfrc_applied[arm_dof]``.
+        force_sensor, torque_sensor: 3 numbers each in ``data.sensordata``: what the arm's flange exerts on the hand
+            (and so on all that the hand holds), at the wrist, in the wrist's axes [N], [N m].
+        wrist_site, tcp_site, grasp_site: site numbers; the last is on the load.
+        weld: number of the equality constraint: ``data.eq_active[weld]``.
+        base_body, link0_body, hand_body: body numbers; ``link0_body``'s frame is the arm's own base frame.
+        torque_limit: (7,) [N m]; velocity_limit: (7,) [rad/s]; position_limit: (7, 2) [rad].
+        differences: what was changed against the arm's description.
+    """
+
+    name: str
+    strut: int
+    base_qpos: slice
+    base_dof: slice
+    arm_qpos: slice
+    arm_dof: slice
+    force_sensor: slice
+    torque_sensor: slice
+    wrist_site: int
+    tcp_site: int
+    grasp_site: int
+    weld: int
+    base_body: int
+    link0_body: int
+    hand_body: int
+    torque_limit: Array
+    velocity_limit: Array
+    position_limit: Array
+    differences: ArmDifferences
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A scenario's world at tick 0.
+
+    Attributes:
+        scenario: what it was built from.
+        model, data: MuJoCo's; ``data`` is at the start, forward kinematics and dynamics done, all velocities zero.
+        arms: by name, in the order of ``scenario.arms``.
+        load_body: body number of the load.
+        load_qpos: 7 numbers in ``data.qpos``: position of O in the world [m] and ``quat_wxyz``.
+        load_dof: 6 numbers in ``data.qvel``: velocity of O in the world's axes [m/s], angular velocity in O's
+            axes [rad/s].
+        load_points: named points (3,) [m] in O, on the rim at the struts' level; ``centre`` above O.
+        X_WO_start: pose of the load at the start.
+        load_com: centre of mass (3,) [m] in O; load_mass [kg].
+        struts: poses ``X_OS`` of all struts, held or free.
+        q_home: joint positions (7,) [rad] at the start.
+        pedestal_m: height of the arms' foot above the floor.
+    """
+
+    scenario: Scenario
+    model: Any
+    data: Any
+    arms: dict[str, ArmIds]
+    load_body: int
+    load_qpos: slice
+    load_dof: slice
+    load_points: dict[LoadPoint, Array]
+    load_mass: float
+    load_com: Array
+    X_WO_start: Pose
+    struts: list[Pose]
+    q_home: Array
+    pedestal_m: float
+
+
+def build_world(scenario: Scenario) -> World:
+    """The scenario's world, every robot in its starting posture with its hand closed on its strut.
+
+    Raises ``LayoutError`` when load and robots do not fit, ``NoHome`` or ``wire.arms.UnknownArm`` for an arm that is
+    not known. The same scenario gives the same world, number for number.
+    """
+    arm = scenario.team.arm
+    q_home = home(arm)
+    load = load_body(scenario.load)
+    X_AE = tool_pose(arm, q_home)
+    level = strut_level_m(scenario.load)
+    pedestal = pedestal_height_m(level, float(X_AE.p[2]))
+    X_BS = Pose.planar(0, 0, pedestal).compose(X_AE).compose(Pose(np.zeros(3), R_SE.T))
+    X_WO = Pose.planar(0, 0, float(X_BS.p[2]) - level)
+    bases = [X_WO.compose(X_OB) for X_OB in base_poses(scenario.load, X_BS)]
+
+    differences = {name: draw_differences(scenario.plant, scenario.seed, i) for i, name in enumerate(scenario.arms)}
+    model, data = compile_scene(scenario, load, X_WO, pedestal, differences)
+    arms = {name: _arm_ids(model, name, strut, differences[name]) for strut, name in enumerate(scenario.arms)}
+    for ids, X_WB in zip(arms.values(), bases, strict=False):  # a load may have more struts than the team has arms
+        data.qpos[ids.base_qpos] = X_WB.p[0], X_WB.p[1], X_WB.yaw
+        data.qpos[ids.arm_qpos] = q_home
+    refresh(model, data)
+    joint = model.joint("load")
+    return World(
+        scenario=scenario,
+        model=model,
+        data=data,
+        arms=arms,
+        load_body=model.body("load").id,
+        load_qpos=_run(joint.qposadr[0], 7),
+        load_dof=_run(joint.dofadr[0], 6),
+        load_points=load.points,
+        load_mass=load.inertia.mass,
+        load_com=load.inertia.com,
+        X_WO_start=X_WO,
+        struts=load.struts,
+        q_home=q_home,
+        pedestal_m=pedestal,
+    )
+
+
+def _arm_ids(model: Any, name: str, strut: int, differences: ArmDifferences) -> ArmIds:
+    base, first = model.joint(f"{name}/base_x"), model.joint(f"{name}/joint1")
+    joints = [model.joint(f"{name}/joint{k}").id for k in range(1, JOINTS + 1)]
+    force, torque = model.sensor(f"{name}/wrist_force"), model.sensor(f"{name}/wrist_torque")
+    return ArmIds(
+        name=name,
+        strut=strut,
+        base_qpos=_run(base.qposadr[0], 3),
+        base_dof=_run(base.dofadr[0], 3),
+        arm_qpos=_run(first.qposadr[0], JOINTS),
+        arm_dof=_run(first.dofadr[0], JOINTS),
+        force_sensor=_run(force.adr[0], 3),
+        torque_sensor=_run(torque.adr[0], 3),
+        wrist_site=model.site(f"{name}/wrist").id,
+        tcp_site=model.site(f"{name}/tcp").id,
+        grasp_site=model.site(f"grasp{strut + 1}").id,
+        weld=model.equality(f"{name}/grasp").id,
+        base_body=model.body(f"{name}/base").id,
+        link0_body=model.body(f"{name}/link0").id,
+        hand_body=model.body(f"{name}/hand").id,
+        torque_limit=model.jnt_actfrcrange[joints, 1].copy(),
+        velocity_limit=model.numeric(f"{name}/velocity_limit").data.copy(),
+        position_limit=model.jnt_range[joints].copy(),
+        differences=differences,
+    )
+
+
+def _run(start: int, count: int) -> slice:
+    return slice(int(start), int(start) + count)

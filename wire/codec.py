@@ -1,0 +1,237 @@
+"""Messages to bytes and back: a MessagePack map with string keys, every field typed, checked and finite.
+
+``{"v": 1, "type": "state", ...fields}``. Nothing that fails a check gets past :func:`decode`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import isfinite
+from typing import Any, TypeVar, cast
+
+import msgpack
+
+from wire import PROTOCOL_VERSION
+from wire.errors import Reason, Refused
+from wire.messages import (
+    Command,
+    End,
+    Goodbye,
+    Hello,
+    LeaderForce,
+    LeaderView,
+    Message,
+    Order,
+    Progress,
+    Refusal,
+    State,
+    Vector,
+    Welcome,
+)
+
+MAX_BYTES = 8192
+"""Longest message that is looked at; the longest that is ever sent is below 1500."""
+MAX_JOINTS = 16
+MAX_INT = 2**63 - 1
+
+Check = Callable[[str, Any], Any]
+M = TypeVar("M", bound=Message)
+
+
+def _integer(name: str, value: Any) -> int:
+    if type(value) is not int:
+        raise Refused(Reason.FIELD_TYPE, name, type(value).__name__, "an integer")
+    if not 0 <= value <= MAX_INT:
+        raise Refused(Reason.RANGE, name, value, "0 to 2^63 - 1")
+    return value
+
+
+def _number(name: str, value: Any) -> float:
+    if type(value) is not float and type(value) is not int:
+        raise Refused(Reason.FIELD_TYPE, name, type(value).__name__, "a number")
+    if not isfinite(value):
+        raise Refused(Reason.NOT_FINITE, name, value, "a finite number")
+    return float(value)
+
+
+def _vector(least: int, most: int) -> Check:
+    expected = f"{least} numbers" if least == most else f"{least} to {most} numbers"
+
+    def check(name: str, value: Any) -> Vector:
+        if type(value) is not tuple:
+            raise Refused(Reason.FIELD_TYPE, name, type(value).__name__, f"an array of {expected}")
+        if not least <= len(value) <= most:
+            raise Refused(Reason.LENGTH, name, len(value), expected)
+        for number in value:
+            if type(number) is not float:
+                return tuple(_number(name, element) for element in value)
+            if not isfinite(number):
+                raise Refused(Reason.NOT_FINITE, name, number, "finite numbers")
+        return cast(Vector, value)
+
+    return check
+
+
+def _text(longest: int) -> Check:
+    def check(name: str, value: Any) -> str:
+        if type(value) is not str:
+            raise Refused(Reason.FIELD_TYPE, name, type(value).__name__, "text")
+        if len(value) > longest:
+            raise Refused(Reason.LENGTH, name, len(value), f"at most {longest} characters")
+        return value
+
+    return check
+
+
+def _one_of(*allowed: str) -> Check:
+    def check(name: str, value: Any) -> str:
+        if value not in allowed:
+            raise Refused(Reason.RANGE, name, repr(value), " or ".join(allowed))
+        return cast(str, value)
+
+    return check
+
+
+def _points(name: str, value: Any) -> dict[str, Vector]:
+    if type(value) is not dict:
+        raise Refused(Reason.FIELD_TYPE, name, type(value).__name__, "a map")
+    return {_text(40)(name, key): _vector(3, 3)(f"{name}.{key}", point) for key, point in value.items()}
+
+
+_joints = _vector(1, MAX_JOINTS)
+_three = _vector(3, 3)
+
+SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
+    "hello": (
+        Hello,
+        {
+            "role": _one_of("follower", "leader"),
+            "run": _text(40),
+            "name": _text(40),
+            "arm_model": _text(40),
+            "digest": _text(64),
+            "pid": _integer,
+            "host": _text(255),
+        },
+    ),
+    "welcome": (
+        Welcome,
+        {
+            "lease": _integer,
+            "clock": _one_of("lock-step", "real-time"),
+            "control_period_ns": _integer,
+            "points": _points,
+        },
+    ),
+    "refusal": (Refusal, {"reason": _text(40), "text": _text(1000)}),
+    "state": (
+        State,
+        {
+            "arm": _text(40),
+            "tick": _integer,
+            "time_ns": _integer,
+            "q": _joints,
+            "qd": _joints,
+            "tau": _joints,
+            "wrench": _vector(6, 6),
+        },
+    ),
+    "command": (
+        Command,
+        {
+            "arm": _text(40),
+            "tick": _integer,
+            "lease": _integer,
+            "torque": _joints,
+            "base_force": _three,
+            "stiffness": _joints,
+            "step_ns": _integer,
+        },
+    ),
+    "leader_view": (
+        LeaderView,
+        {
+            "tick": _integer,
+            "time_ns": _integer,
+            "position": _three,
+            "quat_wxyz": _vector(4, 4),
+            "linear_velocity": _three,
+            "angular_velocity": _three,
+        },
+    ),
+    "leader_force": (LeaderForce, {"tick": _integer, "lease": _integer, "point": _text(40), "force": _three}),
+    "goodbye": (Goodbye, {"name": _text(40), "lease": _integer}),
+    "end": (End, {"reason": _text(1000)}),
+    "progress": (
+        Progress,
+        {
+            "phase": _one_of("waiting", "running", "ended"),
+            "waiting_for": _text(400),
+            "tick": _integer,
+            "ticks": _integer,
+            "time_s": _number,
+            "real_time_factor": _number,
+            "tilt_deg": _number,
+            "goal_distance_m": _number,
+        },
+    ),
+    "order": (Order, {"verb": _one_of("stop")}),
+}
+"""Every message: its name on the wire, its class, and each field with its check. docs/wire.md is its translation."""
+
+_TYPE_OF: Mapping[type[Any], tuple[str, tuple[str, ...]]] = {
+    cls: (name, tuple(fields)) for name, (cls, fields) in SCHEMAS.items()
+}
+
+
+def encode(message: Message) -> bytes:
+    """The bytes of a message. The values are not checked here: the receiver does that."""
+    name, fields = _TYPE_OF[type(message)]
+    body: dict[str, object] = {"v": PROTOCOL_VERSION, "type": name}
+    for field in fields:
+        body[field] = getattr(message, field)
+    return msgpack.packb(body)
+
+
+def decode(payload: bytes, wanted: type[M]) -> M:
+    """The message in ``payload``, which must be of the class ``wanted``.
+
+    Raises:
+        Refused: it is not, with the reason, the field, what came and what would have been right.
+    """
+    message = decode_any(payload)
+    if type(message) is not wanted:
+        raise Refused(Reason.TYPE, "type", _TYPE_OF[type(message)][0], _TYPE_OF[wanted][0])
+    return message
+
+
+def decode_any(payload: bytes) -> Message:
+    """The message in ``payload``, of whichever class. Raises :class:`Refused` as :func:`decode` does."""
+    if len(payload) > MAX_BYTES:
+        raise Refused(Reason.LENGTH, "message", len(payload), f"at most {MAX_BYTES} bytes")
+    try:
+        body = msgpack.unpackb(payload, use_list=False, max_array_len=64, max_map_len=64)
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
+        raise Refused(Reason.MALFORMED, "message", f"{type(error).__name__}: {error}", "one MessagePack map") from None
+    if type(body) is not dict:
+        raise Refused(Reason.MALFORMED, "message", type(body).__name__, "one MessagePack map")
+    version = body.pop("v", None)
+    if type(version) is not int or version != PROTOCOL_VERSION:
+        raise Refused(
+            Reason.VERSION, "protocol version", repr(version), PROTOCOL_VERSION, "Install the same release on both sides"
+        )
+    kind = body.pop("type", None)
+    schema = SCHEMAS.get(kind) if type(kind) is str else None
+    if schema is None:
+        raise Refused(Reason.TYPE, "type", repr(kind), ", ".join(SCHEMAS))
+    cls, checks = schema
+    values = []
+    for name, check in checks.items():
+        try:
+            value = body.pop(name)
+        except KeyError:
+            raise Refused(Reason.MISSING_FIELD, f"{kind}.{name}", "nothing", "the field") from None
+        values.append(check(name, value))
+    if body:
+        raise Refused(Reason.UNKNOWN_FIELD, f"{kind}.{next(iter(body))}", "", "no such field")
+    return cast(Message, cls(*values))

@@ -1,0 +1,215 @@
+"""The life of an agent as the simulator sees it: one transition table, no I/O, no clock.
+
+    absent --greeted--> hello --matched--> ready --state_sent--> ticking --(answered | missed)--> ticking
+    ticking --struck_out | vanished--> lost        any but absent --said_goodbye--> left
+    lost, left --greeted--> hello, with a new lease: what the old instance still sends is refused
+
+Illegal input raises and changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+
+from wire.errors import MisuseError, Reason, Refused
+from wire.messages import Command, Goodbye, Hello, LeaderForce
+
+
+class Phase(StrEnum):
+    """Where an agent is in its life."""
+
+    ABSENT = "absent"
+    HELLO = "hello"
+    READY = "ready"
+    TICKING = "ticking"
+    LOST = "lost"
+    LEFT = "left"
+
+
+class Event(StrEnum):
+    """What can happen to an agent."""
+
+    GREETED = "greeted"
+    MATCHED = "matched"
+    STATE_SENT = "state_sent"
+    ANSWERED = "answered"
+    MISSED = "missed"
+    STRUCK_OUT = "struck_out"
+    VANISHED = "vanished"
+    SAID_GOODBYE = "said_goodbye"
+
+
+TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
+    {
+        (Phase.ABSENT, Event.GREETED): Phase.HELLO,
+        (Phase.LOST, Event.GREETED): Phase.HELLO,
+        (Phase.LEFT, Event.GREETED): Phase.HELLO,
+        (Phase.HELLO, Event.MATCHED): Phase.READY,
+        (Phase.READY, Event.STATE_SENT): Phase.TICKING,
+        (Phase.TICKING, Event.STATE_SENT): Phase.TICKING,
+        (Phase.TICKING, Event.ANSWERED): Phase.TICKING,
+        (Phase.TICKING, Event.MISSED): Phase.TICKING,
+        (Phase.TICKING, Event.STRUCK_OUT): Phase.LOST,
+        (Phase.HELLO, Event.VANISHED): Phase.LOST,
+        (Phase.READY, Event.VANISHED): Phase.LOST,
+        (Phase.TICKING, Event.VANISHED): Phase.LOST,
+        (Phase.HELLO, Event.SAID_GOODBYE): Phase.LEFT,
+        (Phase.READY, Event.SAID_GOODBYE): Phase.LEFT,
+        (Phase.TICKING, Event.SAID_GOODBYE): Phase.LEFT,
+    }
+)
+"""The whole life cycle. What is not listed is illegal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Invitation:
+    """What the simulator expects of the agent that greets under one name."""
+
+    run: str
+    role: str
+    name: str
+    arm_model: str
+    digest: str
+    joints: int
+    """Number of joints n; 0 for the leader."""
+    lost_after: int
+    """Missed ticks in a row after which the agent is lost."""
+
+
+def check_hello(hello: Hello, invitation: Invitation) -> None:
+    """Compare a greeting with what is expected under that name.
+
+    Raises:
+        Refused: run, role, arm model or digest differ.
+    """
+    for reason, what, got, expected, fix in (
+        (Reason.RUN, "run", hello.run, invitation.run, "Give the simulator's run name with --run"),
+        (Reason.ARM, "name", hello.name, invitation.name, "The key and the message must name the same agent"),
+        (Reason.ROLE, "role", hello.role, invitation.role, ""),
+        (Reason.MODEL, "arm model", hello.arm_model, invitation.arm_model, "Start the follower with this --arm-model"),
+        (
+            Reason.DIGEST,
+            "digest of the arm model",
+            hello.digest[:12],
+            invitation.digest[:12],
+            "The two sides describe the arm differently: install the same release on both",
+        ),
+    ):
+        if got != expected:
+            raise Refused(reason, what, got, expected, fix)
+
+
+@dataclass(slots=True)
+class AgentLink:
+    """The simulator's side of one agent's life: phase, lease, the tick that is open, and what was refused."""
+
+    invitation: Invitation
+    phase: Phase = Phase.ABSENT
+    lease: int = 0
+    open_tick: int | None = None
+    """The tick whose state is out and not yet answered or given up."""
+    last_tick: int = -1
+    """The newest tick whose state went out."""
+    missed_in_row: int = 0
+    missed: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+
+    def _move(self, event: Event) -> None:
+        try:
+            self.phase = TRANSITIONS[self.phase, event]
+        except KeyError:
+            raise MisuseError(f"agent {self.invitation.name}: {event} cannot happen while {self.phase}") from None
+
+    def greet(self, hello: Hello) -> int:
+        """Let an agent in and return its lease. Raises :class:`Refused` if it does not fit or the place is taken."""
+        check_hello(hello, self.invitation)
+        if (self.phase, Event.GREETED) not in TRANSITIONS:
+            raise Refused(
+                Reason.TAKEN,
+                f"agent {hello.name}",
+                f"a second greeting while the first instance is {self.phase}",
+                "one instance at a time",
+                "Stop the other instance, or wait until it is lost",
+            )
+        self._move(Event.GREETED)
+        self.lease += 1
+        self.open_tick = None
+        self.missed_in_row = 0
+        return self.lease
+
+    def matched(self) -> None:
+        """Both directions of the link are connected."""
+        self._move(Event.MATCHED)
+
+    def state_sent(self, tick: int) -> None:
+        """The state of ``tick`` goes out; an answer to it is awaited."""
+        if tick <= self.last_tick:
+            raise MisuseError(f"agent {self.invitation.name}: tick {tick} sent after tick {self.last_tick}")
+        if self.open_tick is not None:
+            raise MisuseError(f"agent {self.invitation.name}: tick {tick} sent while {self.open_tick} is open")
+        self._move(Event.STATE_SENT)
+        self.open_tick = self.last_tick = tick
+
+    def answer(self, message: Command | LeaderForce) -> None:
+        """Accept the answer to the open tick. Raises :class:`Refused` for any other; then nothing has changed."""
+        if isinstance(message, Command):
+            self._check_command(message)
+        if message.lease != self.lease:
+            raise Refused(Reason.LEASE, "lease", message.lease, self.lease, "Another instance has taken over")
+        if self.phase is not Phase.TICKING:
+            raise Refused(Reason.PHASE, "answer", f"one while {self.phase}", Phase.TICKING)
+        if message.tick > self.last_tick:
+            raise Refused(Reason.FUTURE, "tick", message.tick, f"at most {self.last_tick}")
+        if message.tick < self.last_tick:
+            raise Refused(Reason.STALE, "tick", message.tick, self.last_tick)
+        if self.open_tick is None:
+            raise Refused(Reason.DUPLICATE, "tick", message.tick, "one answer per tick")
+        self._move(Event.ANSWERED)
+        self.open_tick = None
+        self.missed_in_row = 0
+
+    def _check_command(self, command: Command) -> None:
+        if command.arm != self.invitation.name:
+            raise Refused(Reason.ARM, "arm", command.arm, self.invitation.name)
+        for what, vector in (("torque", command.torque), ("stiffness", command.stiffness)):
+            if len(vector) != self.invitation.joints:
+                raise Refused(Reason.LENGTH, what, len(vector), f"{self.invitation.joints} numbers")
+
+    def miss(self) -> bool:
+        """Give the open tick up. True if that was one too many and the agent is now lost."""
+        if self.open_tick is None:
+            raise MisuseError(f"agent {self.invitation.name}: no open tick to miss")
+        self._move(Event.MISSED)
+        self.open_tick = None
+        self.missed += 1
+        self.missed_in_row += 1
+        if self.missed_in_row < self.invitation.lost_after:
+            return False
+        self._move(Event.STRUCK_OUT)
+        return True
+
+    def vanish(self) -> bool:
+        """The agent's sign of life is gone. True if that loses it (it does not if it had left already)."""
+        if (self.phase, Event.VANISHED) not in TRANSITIONS:
+            return False
+        self._move(Event.VANISHED)
+        self.open_tick = None
+        return True
+
+    def goodbye(self, message: Goodbye) -> None:
+        """The agent leaves in order. Raises :class:`Refused` if it is not the one that is in."""
+        if message.name != self.invitation.name:
+            raise Refused(Reason.ARM, "name", message.name, self.invitation.name)
+        if message.lease != self.lease:
+            raise Refused(Reason.LEASE, "lease", message.lease, self.lease)
+        if (self.phase, Event.SAID_GOODBYE) not in TRANSITIONS:
+            raise Refused(Reason.PHASE, "goodbye", f"one while {self.phase}", "an agent that is in")
+        self._move(Event.SAID_GOODBYE)
+        self.open_tick = None
+
+    def count_refusal(self, reason: Reason) -> None:
+        """Remember that a message of this agent was refused."""
+        self.refused[reason] = self.refused.get(reason, 0) + 1

@@ -1,0 +1,153 @@
+"""The messages, one frozen class each. What a follower may feel is exactly :class:`State`, and nothing else.
+
+Numbers are SI; joint vectors have the arm's number of joints n (7 for the Panda). Simulated time is an integer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Vector = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """An agent asks to be let in (query on its ``hello`` key)."""
+
+    role: Literal["follower", "leader"]
+    run: str
+    name: str
+    """The arm's name, or ``leader``."""
+    arm_model: str
+    """Name of the arm model that the agent computes with; empty for the leader."""
+    digest: str
+    """SHA-256 (hex) of that model's description file; empty for the leader."""
+    pid: int
+    host: str
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome:
+    """The simulator lets an agent in (reply to :class:`Hello`)."""
+
+    lease: int
+    """Goes into every command; a later instance of the same agent gets a higher one and the old is refused."""
+    clock: Literal["lock-step", "real-time"]
+    control_period_ns: int
+    """Simulated time from one of this agent's messages to the next."""
+    points: dict[str, Vector]
+    """Leader only: named points of the load, (3,) m, in the load's frame O. Empty for followers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """The simulator does not let an agent in, and why (reply to :class:`Hello`)."""
+
+    reason: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What one arm feels at one tick: its own joints and its own wrist. All a follower ever gets."""
+
+    arm: str
+    tick: int
+    time_ns: int
+    q: Vector
+    """Joint positions, (n,) rad."""
+    qd: Vector
+    """Joint velocities, (n,) rad/s."""
+    tau: Vector
+    """Measured joint torques, (n,) N m."""
+    wrench: Vector
+    """Wrist wrench [force; torque], (6,) N and N m: what the arm exerts on the hand, in the wrist frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What one agent wants at one tick. ``stiffness`` and ``step_ns`` are a report: recorded, never obeyed."""
+
+    arm: str
+    tick: int
+    """The tick of the state that this answers."""
+    lease: int
+    torque: Vector
+    """Joint torques, (n,) N m, gravity included."""
+    base_force: Vector
+    """(3,) force x, y in N and yaw torque in N m on the mobile base, in the base frame B."""
+    stiffness: Vector
+    """(n,) present joint stiffness, N m/rad."""
+    step_ns: int
+    """Wall time that the controller's step took."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeaderView:
+    """What the leader sees of the load, in the world frame."""
+
+    tick: int
+    time_ns: int
+    position: Vector
+    """(3,) m, of the load's frame O."""
+    quat_wxyz: Vector
+    """(4,) orientation of O in the world, w first."""
+    linear_velocity: Vector
+    """(3,) m/s, of the origin of O."""
+    angular_velocity: Vector
+    """(3,) rad/s, world frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeaderForce:
+    """The leader's pull."""
+
+    tick: int
+    lease: int
+    point: str
+    """Name of the point of the load that the force acts at."""
+    force: Vector
+    """(3,) N, world frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Goodbye:
+    """An agent leaves in order (query on its ``hello`` key)."""
+
+    name: str
+    lease: int
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The run is over, or this agent's part in it (on the agent's ``state`` key, and reply to a goodbye)."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How the run goes, for observers."""
+
+    phase: Literal["waiting", "running", "ended"]
+    waiting_for: str
+    tick: int
+    ticks: int
+    time_s: float
+    real_time_factor: float
+    tilt_deg: float
+    goal_distance_m: float
+    """Negative when there is no goal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """An order of the operator."""
+
+    verb: Literal["stop"]
+
+
+Message = (
+    Hello | Welcome | Refusal | State | Command | LeaderView | LeaderForce | Goodbye | End | Progress | Order
+)
