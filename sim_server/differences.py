@@ -10,6 +10,8 @@ from sim_server.layout import Array
 from sim_server.scenario import Plant
 
 JOINTS = 7
+STREAM = 2
+"""Keeps these draws apart from other streams of the same seed: the plant's sensor noise is stream 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +35,7 @@ def draw_differences(plant: Plant, seed: int, arm_index: int) -> ArmDifferences:
 
     Every draw is made whatever the settings, so switching one difference off leaves the others as they were.
     """
-    rng = np.random.default_rng([seed, arm_index])
+    rng = np.random.default_rng([seed, STREAM, arm_index])
     links = rng.uniform(-1, 1, JOINTS + 1)
     damping, friction = rng.uniform(0.5, 1.5, (2, JOINTS))
     return ArmDifferences(

@@ -3,7 +3,7 @@
 Contact classes. Each class names those that it meets; all other pairs pass through each other, which costs nothing.
 
     class   bit  meets               why
-    NOTHING  0   -                   what is only to be looked at: arm links, wheels, struts' neighbours
+    NOTHING  0   -                   what is only to be looked at: arm links, wheels, pedestals
     FLOOR    1   LOAD STRUT HAND     bases are planar and never touch it
     LOAD     2   FLOOR HAND BASE     top, legs, box: a base does not drive through a leg, a lost hand lies on the top
     HAND     4   FLOOR LOAD HAND     hand and finger boxes; a hand and its own fingers are one body to the engine

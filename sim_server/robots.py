@@ -16,7 +16,7 @@ HOME: dict[str, tuple[float, ...]] = {
 """Joint positions [rad] at the start, per arm: the hand points straight down, its x axis along the base's, so that the
 fingers close along the base's y. The Panda's joint6 is joint2 - joint4 for that; 0.8 rad and more from every limit."""
 
-R_SE: Array = np.diag([1.0, -1.0, -1.0])
+R_SE: Array = np.diag([-1.0, 1.0, -1.0])
 """The hand's axes at a strut, grasping from above: approach (z) down, fingers (y) across the strut, x to the load."""
 
 CARRY_HEIGHT_M = 0.10

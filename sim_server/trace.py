@@ -60,7 +60,7 @@ class TraceWriter:
         self._filled = 0
 
     def append(self, parts: list[Array]) -> None:
-        """One row, as the list of its columns' values in order, each (width,)."""
+        """One row: the values of all columns in order, in pieces of any length."""
         np.concatenate(parts, out=self._block[self._filled])
         self._filled += 1
         if self._filled == BLOCK_ROWS:

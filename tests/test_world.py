@@ -145,6 +145,17 @@ def test_base_coordinates_are_the_pose_in_the_world_whatever_the_heading() -> No
     np.testing.assert_allclose(J @ data.qvel, [0.3, 0, 0], atol=1e-15)
 
 
+def test_step_and_base_are_those_of_the_scenario() -> None:
+    base = {"mass_kg": 70.0, "yaw_inertia_kg_m2": 4.0, "rolling_resistance_Ns_m": 500.0, "yaw_resistance_Nms_rad": 50.0}
+    given = scenario(4, plant={"physics_step_ms": 1}).model_dump() | {"base": base}
+    world = build_world(Scenario.model_validate(given))
+    assert world.model.opt.timestep == 0.001
+    for ids in world.arms.values():
+        np.testing.assert_array_equal(world.model.dof_damping[ids.base_dof], [500.0, 500.0, 50.0])
+        assert world.model.body_mass[ids.base_body] == 70.0
+        assert world.model.body_inertia[ids.base_body].max() == 4.0  # MuJoCo sorts them; yaw's is the largest
+
+
 def test_the_same_scenario_gives_the_same_world_bit_for_bit() -> None:
     first, second = (build_world(scenario(4)) for _ in range(2))
     for world in (first, second):
