@@ -64,16 +64,15 @@ class ArmModel:
             raise AgentError(f"arm model {name}: no site named 'tcp' in its description")
         self._tcp = self._model.getFrameId("tcp")
         self.joints: int = self._model.nv
-        self._above = np.triu(np.ones((self.joints, self.joints)), 1)
+        self._fold = np.triu(np.ones((self.joints, self.joints)), 1) + 0.5 * np.eye(self.joints)
 
     def snapshot(self, q: Array, qd: Array) -> ArmSnapshot:
         """All terms at joint positions q, (n,) rad, and velocities qd, (n,) rad/s. The arrays are the caller's own."""
         model, data, tcp = self._model, self._data, self._tcp
-        C = pin.computeCoriolisMatrix(model, data, q, qd).copy()
+        C = pin.computeCoriolisMatrix(model, data, q, qd).copy()  # and the Jacobians with their rates
         g = pin.computeGeneralizedGravity(model, data, q).copy()
         M = self._symmetric(pin.crba(model, data, q))
         M_inv = self._symmetric(pin.computeMinverse(model, data, q))
-        pin.computeJointJacobiansTimeVariation(model, data, q, qd)
         placement = pin.updateFramePlacement(model, data, tcp)
         return ArmSnapshot(
             q=q,
@@ -90,7 +89,6 @@ class ArmModel:
 
     def _symmetric(self, filled_above: Array) -> Array:
         """The symmetric matrix of which Pinocchio fills the upper triangle only; always a copy."""
-        above = self._above * filled_above
-        symmetric: Array = above + above.T
-        np.fill_diagonal(symmetric, np.diagonal(filled_above))
+        half = self._fold * filled_above
+        symmetric: Array = half + half.T
         return symmetric

@@ -76,7 +76,7 @@ def run(
     team = named.scenario.team
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
     make_controller(team.controller, ArmModel(team.arm), team.gains)
-    check_world(named.scenario)
+    check_world(named)
     folder = (out or default_folder(Path("runs"), named.name)).absolute()
     if (folder / RUN).exists():
         raise RunFolderError(f"{folder} holds a run already: expected a new folder; choose another with --out")
@@ -146,11 +146,12 @@ def sim(
     """Start the simulator of a scenario and wait for its agents."""
     from sim_server.run_folder import RunFolder
     from sim_server.scenario_files import load_scenario
-    from sim_server.server import Server, default_folder
+    from sim_server.server import Server, check_world, default_folder
     from wire.zenoh_link import open_server
 
     _log_to_stderr()
     named = load_scenario(scenario, _changes(seed, set_))
+    check_world(named)
     name = run or _run_name(named.name)
     with open_server(listen) as link:
         folder = RunFolder(out or default_folder(Path("runs"), named.name))

@@ -145,6 +145,9 @@ class Launcher:
                 return Ended(failed.process.returncode, f"{failed.name} ended before the first tick: {failed.last_words()}")
             time.sleep(POLL_S)
         status = self.sim.process.returncode
+        if status < 0:
+            killer = signal.Signals(-status).name
+            return Ended(status, f"the simulator was ended by {killer}; its log is {self.sim.log}")
         return Ended(status, "" if status in (0, 1) else self.sim.last_words())
 
     def _failed_agent(self) -> Child | None:

@@ -22,6 +22,32 @@ STANDSTILL_WINDOW_S = 1.0
 
 Metrics = dict[str, float | dict[str, float] | None]
 
+METRICS: Mapping[str, str] = {
+    "duration_s": "simulated time from the first recorded tick to the last",
+    "path_length_m": "way of the load in the plane",
+    "end_speed_mm_s": "largest planar speed of the load in the last second",
+    "goal_error_m": "planar distance of the load from the goal at the end",
+    "arrival_time_s": "when the load came within 0.10 m of the goal for good",
+    "overshoot_m": "how far the load went past the goal along the straight way to it",
+    "drift_mm_per_min": "how fast the load wandered with nobody leading",
+    "tilt_max_deg": "largest angle between the load's vertical and the world's",
+    "tilt_rms_deg": "the same, root mean square",
+    "sag_max_mm": "largest change of the load's height from its start",
+    "sag_rms_mm": "the same, root mean square",
+    "yaw_max_deg": "largest turn of the load about the vertical from its start",
+    "internal_force_rms_N": "the part of a hand's force that moves nothing, root mean square over hands and time",
+    "grip_force_max_N": "largest force of one hand on the load",
+    "leader_force_max_N": "largest pull of the leader",
+    "leader_impulse_Ns": "the leader's pull over time",
+    "torque_rms_Nm": "joint torque, root mean square over all joints and time",
+    "torque_limit_fraction": "largest joint torque as a part of its limit",
+    "energy_J": "work that motors and bases did or took up",
+    "real_time_factor": "simulated time over wall time",
+    "wall_s": "wall time of the run",
+    "refused_messages": "messages that did not fit and were refused",
+}
+"""Every metric that is one number, by its name in metrics.json and in a scenario's ``[expect]``, and its meaning."""
+
 
 @dataclass(frozen=True, slots=True)
 class TraceFacts:

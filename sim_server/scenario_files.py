@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from sim_server.errors import ScenarioError
+from sim_server.metrics import METRICS
 from sim_server.scenario import Scenario
 
 SHIPPED = Path(__file__).parent / "scenarios"
@@ -49,6 +50,16 @@ def load_scenario(name_or_path: str, changes: Mapping[str, Any] | None = None) -
         scenario = Scenario.model_validate(merged)
     except ValidationError as error:
         raise _explain(path, error.errors()) from None
+    for metric in scenario.expect:
+        if metric not in METRICS:
+            near = get_close_matches(metric, METRICS, n=1)
+            raise ScenarioError(
+                path.name,
+                f"expect.{metric}",
+                "unknown metric",
+                expected="one of " + ", ".join(METRICS),
+                fix=f"Did you mean {near[0]}?" if near else "",
+            )
     return NamedScenario(path.stem, str(path) if path.parent != SHIPPED else path.name, scenario)
 
 
@@ -71,7 +82,8 @@ def _find(name_or_path: str) -> Path:
 
 def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
     """The file's tables, laid over those of the scenario that it extends."""
-    if path in seen:
+    here = path.resolve()  # else a circle through `../` never meets the same path again
+    if here in seen:
         raise ScenarioError(path.name, "extends", "the scenarios extend each other in a circle")
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -82,8 +94,19 @@ def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
         return tables
     if not isinstance(parent, str):
         raise ScenarioError(path.name, "extends", f"got {parent!r}", expected="the name of a scenario")
+    return _overlay(_read(_find_parent(path, parent), (*seen, here)), tables)
+
+
+def _find_parent(path: Path, parent: str) -> Path:
     beside = path.parent / f"{parent}.toml"
-    return _overlay(_read(beside if beside.is_file() else _find(parent), (*seen, path)), tables)
+    if beside.is_file():
+        return beside
+    try:
+        return _find(parent)
+    except ScenarioError as error:
+        raise ScenarioError(
+            path.name, "extends", f"{parent!r}: {error.problem}", expected=error.expected, fix=error.fix
+        ) from None
 
 
 def _overlay(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,7 +114,7 @@ def _overlay(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, An
     merged = dict(below)
     for key, value in above.items():
         old = merged.get(key)
-        is_bound = isinstance(value, Mapping) and not value.keys() - {"min", "max"}
+        is_bound = isinstance(value, Mapping) and value and not value.keys() - {"min", "max"}
         merged[key] = _overlay(old, value) if isinstance(old, dict) and isinstance(value, Mapping) and not is_bound else value
     return merged
 

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from sim_server.errors import SimError
+from sim_server.errors import ScenarioError, SimError
+from sim_server.layout import LayoutError
 from sim_server.lockstep import LockStep, Stopped
 from sim_server.metrics import tilt_deg
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import LEADER, Arrived, Reception, Terms
 from sim_server.run_folder import METRICS, RUN, RunFolder, compute_metrics, versions, write_json
-from sim_server.scenario import Scenario
 from sim_server.scenario_files import NamedScenario
 from sim_server.trace import TraceWriter
 from sim_server.verdict import Verdict
@@ -296,6 +296,10 @@ def default_folder(runs: Path, name: str) -> Path:
     return path
 
 
-def check_world(scenario: Scenario) -> None:
+def check_world(named: NamedScenario) -> None:
     """Build the world of a scenario once, to see that it can be. Raises :class:`SimError`."""
-    build_world(scenario)
+    try:
+        build_world(named.scenario)
+    except LayoutError as error:
+        file = Path(named.source).name
+        raise ScenarioError(file, error.key, error.problem, expected=error.expected, fix=error.fix) from None

@@ -38,6 +38,11 @@ Check = Callable[[str, Any], Any]
 M = TypeVar("M", bound=Message)
 
 
+def _shown(value: Any) -> str:
+    """A value for the text of a refusal. Never a nested one: it may nest deeper than ``repr`` can follow."""
+    return type(value).__name__ if isinstance(value, tuple | dict) else repr(value)
+
+
 def _integer(name: str, value: Any) -> int:
     if type(value) is not int:
         raise Refused(Reason.FIELD_TYPE, name, type(value).__name__, "an integer")
@@ -85,9 +90,11 @@ def _text(longest: int) -> Check:
 
 def _one_of(*allowed: str) -> Check:
     def check(name: str, value: Any) -> str:
+        if type(value) is not str:
+            raise Refused(Reason.FIELD_TYPE, name, type(value).__name__, "text")
         if value not in allowed:
             raise Refused(Reason.RANGE, name, repr(value), " or ".join(allowed))
-        return cast(str, value)
+        return value
 
     return check
 
@@ -218,12 +225,16 @@ def decode_any(payload: bytes) -> Message:
     version = body.pop("v", None)
     if type(version) is not int or version != PROTOCOL_VERSION:
         raise Refused(
-            Reason.VERSION, "protocol version", repr(version), PROTOCOL_VERSION, "Install the same release on both sides"
+            Reason.VERSION,
+            "protocol version",
+            _shown(version),
+            PROTOCOL_VERSION,
+            "Install the same release on both sides",
         )
     kind = body.pop("type", None)
     schema = SCHEMAS.get(kind) if type(kind) is str else None
     if schema is None:
-        raise Refused(Reason.TYPE, "type", repr(kind), ", ".join(SCHEMAS))
+        raise Refused(Reason.TYPE, "type", _shown(kind), ", ".join(SCHEMAS))
     cls, checks = schema
     values = []
     for name, check in checks.items():

@@ -47,7 +47,7 @@ class Refused(WireError):
 
     def __init__(self, reason: Reason, what: str, got: object = "", expected: object = "", fix: str = "") -> None:
         self.reason, self.what, self.got, self.expected = reason, what, str(got), str(expected)
-        text = f"{reason}: {what}"
+        text = f"{reason}: {what[:80]}"
         if self.got:
             text += f": got {self.got[:80]}"
         if self.expected:

@@ -93,8 +93,8 @@ def check_hello(hello: Hello, invitation: Invitation) -> None:
         (
             Reason.DIGEST,
             "digest of the arm model",
-            hello.digest[:12],
-            invitation.digest[:12],
+            hello.digest,
+            invitation.digest,
             "The two sides describe the arm differently: install the same release on both",
         ),
     ):
@@ -165,6 +165,8 @@ class AgentLink:
             raise Refused(Reason.FUTURE, "tick", message.tick, f"at most {self.last_tick}")
         if message.tick < self.last_tick:
             raise Refused(Reason.STALE, "tick", message.tick, self.last_tick)
+        if self.open_tick is None and self.missed_in_row:
+            raise Refused(Reason.STALE, "tick", message.tick, "its answer before the tick was given up")
         if self.open_tick is None:
             raise Refused(Reason.DUPLICATE, "tick", message.tick, "one answer per tick")
         self._move(Event.ANSWERED)

@@ -49,16 +49,19 @@ class MemoryQuestion:
 class MemoryPublisher:
     """Sends on one key."""
 
-    def __init__(self, broker: Broker, key: str) -> None:
-        self._broker, self._key = broker, key
+    def __init__(self, link: MemoryLink, broker: Broker, key: str) -> None:
+        self._link, self._broker, self._key = link, broker, key
 
     def put(self, payload: bytes) -> None:
+        self._link.check_open()
         for _, expression, handler in tuple(self._broker.subscribers):
             if key_matches(expression, self._key):
                 handler(payload)
 
     def matched(self) -> bool:
-        return any(key_matches(expression, self._key) for _, expression, _ in self._broker.subscribers)
+        return self._link.is_open and any(
+            key_matches(expression, self._key) for _, expression, _ in self._broker.subscribers
+        )
 
 
 class MemoryLink:
@@ -66,27 +69,28 @@ class MemoryLink:
 
     def __init__(self, broker: Broker) -> None:
         self._broker = broker
-        self._open = True
+        self.is_open = True
 
-    def _check_open(self) -> None:
-        if not self._open:
+    def check_open(self) -> None:
+        """Raises :class:`MisuseError` if this session has ended."""
+        if not self.is_open:
             raise MisuseError("the link is closed")
 
     def publisher(self, key: str) -> MemoryPublisher:
-        self._check_open()
-        return MemoryPublisher(self._broker, key)
+        self.check_open()
+        return MemoryPublisher(self, self._broker, key)
 
     def subscribe(self, key: str, handler: Callable[[bytes], None]) -> None:
-        self._check_open()
+        self.check_open()
         self._broker.subscribers.append((self, key, handler))
 
     def answer_queries(self, key_expression: str, handler: Callable[[MemoryQuestion], None]) -> None:
-        self._check_open()
+        self.check_open()
         self._broker.queryables.append((self, key_expression, handler))
 
     def query(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """The first reply; ``timeout_s`` is not waited for, since here a handler replies at once or never."""
-        self._check_open()
+        self.check_open()
         for _, expression, handler in tuple(self._broker.queryables):
             if key_matches(expression, key):
                 question = MemoryQuestion(key, payload)
@@ -96,12 +100,14 @@ class MemoryLink:
         return None
 
     def declare_alive(self, key: str) -> None:
-        self._check_open()
+        self.check_open()
+        first = all(token != key for _, token in self._broker.tokens)
         self._broker.tokens.append((self, key))
-        self._tell(key, True)
+        if first:
+            self._tell(key, True)
 
     def watch_alive(self, key: str, handler: Callable[[bool], None]) -> None:
-        self._check_open()
+        self.check_open()
         self._broker.watchers.append((self, key, handler))
         if any(token == key for _, token in self._broker.tokens):
             handler(True)
@@ -113,15 +119,17 @@ class MemoryLink:
 
     def close(self) -> None:
         """End the session: its declarations go, and those who watch its tokens are told."""
-        self._open = False
+        self.is_open = False
         broker = self._broker
         broker.subscribers = [entry for entry in broker.subscribers if entry[0] is not self]
         broker.queryables = [entry for entry in broker.queryables if entry[0] is not self]
         broker.watchers = [entry for entry in broker.watchers if entry[0] is not self]
         gone = [key for owner, key in broker.tokens if owner is self]
         broker.tokens = [entry for entry in broker.tokens if entry[0] is not self]
+        still = {key for _, key in broker.tokens}
         for key in gone:
-            self._tell(key, False)
+            if key not in still:
+                self._tell(key, False)
 
     def __enter__(self) -> Self:
         return self

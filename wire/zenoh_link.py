@@ -55,8 +55,9 @@ def open_client(endpoint: str, *, timeout_s: float = 10.0) -> ZenohLink:
     """An agent's session: one connection to ``endpoint``, no listener. It reconnects by itself.
 
     Raises:
-        LinkError: nobody answered there within ``timeout_s``.
+        LinkError: the address is bad, or nobody answered there within ``timeout_s``.
     """
+    _parse(endpoint)
     connect = {
         "endpoints": [endpoint],
         "timeout_ms": int(timeout_s * 1000),
@@ -79,18 +80,24 @@ def _open(config: dict[str, Any], endpoint: str) -> ZenohLink:
         raise LinkError(f"cannot listen on {endpoint}: {str(error).splitlines()[0]}") from error
 
 
-def _check_can_listen(endpoint: str) -> None:
-    """Say in one sentence what Zenoh would say in many. Only tcp endpoints are looked at."""
+def _parse(endpoint: str) -> tuple[str, str, int]:
+    """Protocol, host and port of an endpoint. Raises :class:`LinkError` if it does not look like one."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
-    if not protocol or not port.isdigit() or int(port) > 65535:
+    if not (protocol and host and port.isascii() and port.isdigit() and 0 < int(port) <= 65535):
         raise LinkError(f"bad address {endpoint!r}: expected <protocol>/<host>:<port>, for example tcp/127.0.0.1:7447")
+    return protocol, host.strip("[]"), int(port)
+
+
+def _check_can_listen(endpoint: str) -> None:
+    """Say in one sentence what Zenoh would say in many. Only tcp endpoints are looked at."""
+    protocol, host, port = _parse(endpoint)
     if protocol != "tcp":
         return
     try:
-        found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)
-    except socket.gaierror as error:
-        raise LinkError(f"bad address {endpoint!r}: host {host!r} is unknown ({error.strerror})") from error
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except (socket.gaierror, UnicodeError) as error:  # the second for a host name that cannot be one
+        raise LinkError(f"bad address {endpoint!r}: host {host!r} is unknown ({error})") from error
     family, kind, number, _, where = found[0]
     with socket.socket(family, kind, number) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

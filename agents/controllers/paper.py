@@ -14,18 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from agents.arm_model import ArmModel, ArmSnapshot
 from agents.controllers.interface import Effort, Sensed
 from agents.equations.law import base_force, joint_torque
-from agents.equations.null_space import (
-    null_basis_continued,
-    null_basis_orthonormal,
-    null_basis_rate,
-    null_coriolis,
-    null_damping,
-    null_inertia,
-    null_inverse,
-    null_inverse_rate,
-    null_torque,
-    null_velocity,
-)
+from agents.equations.null_space import null_torque_projected
 from agents.equations.stiffness import DEG, adaptive_stiffness, projected_error_rate, projected_joint_error
 from agents.equations.task import (
     dynamically_consistent_inverse,
@@ -97,10 +86,9 @@ class PaperController:
         self._K_e = np.full(3, self.gains.task_stiffness_1_s2)
         self._B_e = np.full(3, self.gains.task_damping_1_s)
         self._held: _Held | None = None
-        self._Z: Array | None = None
 
     def step(self, sensed: Sensed, dt_s: float) -> Effort:
-        """The law remembers the pose at the first step and its null basis, and integrates nothing: ``dt_s`` is not used."""
+        """The law remembers the pose at the first step and integrates nothing: ``dt_s`` is not used."""
         arm = self._arm.snapshot(sensed.q, sensed.qd)
         if self._held is None:
             self._held = _Held(arm)
@@ -122,16 +110,7 @@ class PaperController:
             xdd_c = xdd_c - task_drift(Jdot, qd)
         tau_task = task_torque(J, Lambda_x, xdd_c, Jbar, external_torque(K, Jbar, x_err))
 
-        Z = self._Z = null_basis_orthonormal(J) if self._Z is None else null_basis_continued(self._Z, J, Jbar)
-        Zdot = null_basis_rate(Jbar, Jdot, Z)
-        Lambda_nu = null_inertia(Z, arm.M)
-        Lambda_nu_inv = np.linalg.inv(Lambda_nu)
-        Zbar = null_inverse(Z, arm.M, Lambda_nu_inv)
-        Zbar_dot = null_inverse_rate(Z, Zdot, Zbar, arm.M, arm.C + arm.C.T, Lambda_nu_inv)
-        mu_nu = null_coriolis(Z, arm.C, Lambda_nu, Zbar_dot)
-        B_nu = null_damping(Z, self._D)
-        nu = null_velocity(Zbar, qd)
-        tau_null = null_torque(Zbar, Lambda_nu, Zbar_dot, qd, mu_nu, B_nu, nu, Z, K, q_err)
+        tau_null = null_torque_projected(J, Jdot, Jbar, Lambda_x, arm.C, self._D, qd, K, q_err)
 
         F_m = base_force(
             arm.p_BE[:2] - self._held.xy, arm.J[:2] @ qd, gains.base_stiffness_N_m, gains.base_damping_Ns_m

@@ -1,0 +1,206 @@
+"""The follower and the leader as processes see them: joined to a hand-played simulator over the in-memory link."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from agents.arm_model import ArmModel
+from agents.errors import AgentError, NotWelcome
+from agents.follower import FollowerSettings, run_follower
+from agents.leader import LeaderSettings, bounded_pull, pull, rotate, run_leader
+from wire.codec import decode, encode
+from wire.errors import Reason
+from wire.keys import Keys
+from wire.memory import Broker, MemoryQuestion
+from wire.messages import Command, End, LeaderForce, LeaderView, Refusal, State, Vector, Welcome
+
+DEADLINE_S = 10.0
+KEYS = Keys("test")
+SETTINGS = FollowerSettings("test", "a1", "panda", "paper", {}, join_timeout_s=DEADLINE_S, state_timeout_s=0.02)
+Q: Vector = (0.0, -0.1, 0.0, -2.1, 0.0, 2.0, 0.785)
+ZERO: Vector = (0.0,) * 7
+
+
+class PlayedSimulator:
+    """The simulator's end of one agent's keys: welcomes it, sends what the test says, collects what comes back."""
+
+    def __init__(self, clock: Literal["lock-step", "real-time"], reply: Callable[[], Welcome | Refusal] | None = None):
+        self.broker = Broker()
+        self.link = self.broker.link()
+        self.answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        points = {"front": (0.8, 0.0, 0.7)}
+        welcome = Welcome(lease=3, clock=clock, control_period_ns=1_000_000, points=points)
+        for keys in (KEYS.arm("a1"), KEYS.leader):
+            self.link.subscribe(keys.command, self.answers.put)
+            self.link.answer_queries(keys.hello, lambda question: self._answer(question, reply() if reply else welcome))
+        self.link.declare_alive(KEYS.sim_alive)
+        self.state = self.link.publisher(KEYS.arm("a1").state)
+        self.view = self.link.publisher(KEYS.leader.state)
+        self.ended: queue.SimpleQueue[str | Exception] = queue.SimpleQueue()
+
+    @staticmethod
+    def _answer(question: MemoryQuestion, reply: Welcome | Refusal) -> None:
+        question.reply(encode(reply))
+
+    def start(self, agent: Callable[[], str]) -> None:
+        """Run an agent in a thread; how it ended arrives in ``ended``."""
+
+        def body() -> None:
+            try:
+                self.ended.put(agent())
+            except Exception as error:
+                self.ended.put(error)
+
+        threading.Thread(target=body, daemon=True).start()
+
+    def follow(self) -> None:
+        """Start the follower of arm a1 and wait until it listens."""
+        link = self.broker.link()
+        self.start(lambda: run_follower(link, SETTINGS))
+        wait_for(self.state.matched)
+
+    def command(self) -> Command:
+        return decode(self.answers.get(timeout=DEADLINE_S), Command)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Until the condition holds; fails after the deadline."""
+    waiter = threading.Event()
+    for _ in range(int(DEADLINE_S / 0.005)):
+        if condition():
+            return
+        waiter.wait(0.005)
+    raise AssertionError("the condition did not come true in time")
+
+
+def state(tick: int, arm: str = "a1", q: Vector = Q) -> bytes:
+    return encode(State(arm, tick, tick * 1_000_000, q, ZERO, ZERO, (0.0,) * 6))
+
+
+def gravity() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return ArmModel("panda").snapshot(np.array(Q), np.zeros(7)).g
+
+
+def test_a_follower_answers_each_state_with_its_tick_and_lease_until_the_end() -> None:
+    simulator = PlayedSimulator("lock-step")
+    simulator.follow()
+    for tick in (0, 1, 2, 7):
+        simulator.state.put(state(tick))
+        command = simulator.command()
+        assert (command.arm, command.tick, command.lease) == ("a1", tick, 3)
+    simulator.state.put(encode(End("enough")))
+    assert simulator.ended.get(timeout=DEADLINE_S) == "enough"
+
+
+def test_in_real_time_a_follower_holds_its_arm_up_when_states_stop_coming() -> None:
+    simulator = PlayedSimulator("real-time")
+    simulator.follow()
+    simulator.state.put(state(5))
+    assert simulator.command().tick == 5
+    hold = simulator.command()  # nothing was sent to ask for it: the silence did
+    assert hold.tick == 5
+    # Gravity of its own model and nothing else: the same numbers, so only rounding of the text-free wire, which is none.
+    np.testing.assert_array_equal(hold.torque, gravity())
+    assert hold.base_force == (0.0, 0.0, 0.0)
+    assert hold.stiffness == ZERO
+    simulator.state.put(state(6))
+    assert simulator.command().tick == 6, "when states come again it goes on"
+
+
+def test_in_lock_step_silence_is_not_answered_since_time_stands_still() -> None:
+    simulator = PlayedSimulator("lock-step")
+    simulator.follow()
+    simulator.state.put(state(0))
+    assert simulator.command().tick == 0
+    with pytest.raises(queue.Empty):
+        simulator.answers.get(timeout=10 * SETTINGS.state_timeout_s)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        pytest.param(state(3, arm="a2"), id="another arm's state"),
+        pytest.param(state(0), id="an old state"),
+        pytest.param(state(3, q=Q[:6]), id="six joints"),
+        pytest.param(b"\xc1 garbage", id="garbage"),
+    ],
+)
+def test_a_state_that_does_not_fit_changes_nothing(bad: bytes) -> None:
+    torques = []
+    for disturb in (False, True):
+        simulator = PlayedSimulator("lock-step")
+        simulator.follow()
+        for tick in (1, 2):
+            simulator.state.put(state(tick))
+            simulator.command()
+        if disturb:
+            simulator.state.put(bad)
+        simulator.state.put(state(3, q=(*Q[:6], 0.8)))
+        command = simulator.command()
+        assert command.tick == 3
+        torques.append(command.torque)
+    assert torques[0] == torques[1]
+
+
+def test_a_refusal_at_hello_ends_the_follower_with_the_simulators_reason() -> None:
+    simulator = PlayedSimulator("lock-step", lambda: Refusal(Reason.DIGEST, "digest of the arm model: got x, expected y"))
+    link = simulator.broker.link()
+    simulator.start(lambda: run_follower(link, SETTINGS))
+    ended = simulator.ended.get(timeout=DEADLINE_S)
+    assert isinstance(ended, NotWelcome)
+    assert "digest of the arm model: got x, expected y" in str(ended)
+
+
+def test_a_follower_ends_when_the_simulator_is_gone() -> None:
+    simulator = PlayedSimulator("lock-step")
+    simulator.follow()
+    simulator.link.close()
+    ended = simulator.ended.get(timeout=DEADLINE_S)
+    assert isinstance(ended, AgentError)
+    assert "gone" in str(ended)
+
+
+def test_the_leader_answers_every_view_and_refuses_a_point_that_the_load_lacks() -> None:
+    simulator = PlayedSimulator("lock-step")
+    link = simulator.broker.link()
+    simulator.start(lambda: run_leader(link, LeaderSettings("test", (2.0, 0.0))))
+    wait_for(simulator.view.matched)
+    simulator.view.put(encode(LeaderView(10, 0, (0.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)))
+    force = decode(simulator.answers.get(timeout=DEADLINE_S), LeaderForce)
+    assert (force.tick, force.lease, force.point) == (10, 3, "front")
+    assert force.force[0] == pytest.approx(40.0)  # 2 m * 40 N/m is above the bound of 40 N
+    other = PlayedSimulator("lock-step")
+    link = other.broker.link()
+    other.start(lambda: run_leader(link, LeaderSettings("test", (2.0, 0.0), point="nose")))
+    ended = other.ended.get(timeout=DEADLINE_S)
+    assert isinstance(ended, AgentError)
+    assert "nose" in str(ended) and "front" in str(ended)
+
+
+def test_the_pull_is_proportional_damped_and_never_above_its_bound() -> None:
+    # By hand: 40 * (0.3, -0.4) - 120 * (0.05, 0) = (6, -16) N, below the bound of 40 N.
+    np.testing.assert_allclose(bounded_pull(np.array([0.3, -0.4]), np.array([0.05, 0.0]), 40, 120, 40), [6.0, -16.0])
+    rng = np.random.default_rng(1)
+    for _ in range(1000):
+        error, velocity = rng.normal(size=2) * 10 ** rng.uniform(-3, 3), rng.normal(size=2)
+        force = bounded_pull(error, velocity, 40, 120, 40)
+        assert np.linalg.norm(force) <= 40.0, "no tolerance: the simulator refuses what is above"
+        wanted = 40 * error - 120 * velocity
+        # Shortened, not turned: parallel to what was wanted (relative rounding of the product).
+        assert force @ wanted == pytest.approx(np.linalg.norm(force) * np.linalg.norm(wanted), rel=1e-9)
+
+
+def test_the_leader_damps_the_velocity_of_the_point_it_pulls() -> None:
+    # By hand: the load spins at 1 rad/s about z, turned by 90 deg: `front`, 0.8 m ahead in O, is at (0, 0.8) and moves
+    # at (-0.8, 0) m/s. At its goal only the damping acts: -10 * (-0.8, 0) = (8, 0) N.
+    half = np.sqrt(0.5)
+    view = LeaderView(0, 0, (2.0, 0.0, 0.1), (half, 0.0, 0.0, half), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    settings = LeaderSettings("test", (2.0, 0.0), stiffness_N_m=40, damping_Ns_m=10)
+    np.testing.assert_allclose(pull(view, np.array([0.8, 0.0, 0.7]), settings), [8.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(rotate(np.array([half, 0, 0, half]), np.array([1.0, 2.0, 3.0])), [-2.0, 1.0, 3.0])

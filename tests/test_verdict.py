@@ -1,0 +1,73 @@
+"""The verdict: bounds against metrics."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from sim_server.scenario import Bound
+from sim_server.verdict import Judged, judge, overall
+
+
+@pytest.mark.parametrize(
+    ("bound", "value", "verdict"),
+    [
+        (Bound(max=0.1), 0.1, "holds"),  # a bound belongs to what it allows
+        (Bound(max=0.1), math.nextafter(0.1, 1), "violated"),
+        (Bound(min=2.0), 2.0, "holds"),
+        (Bound(min=2.0), math.nextafter(2.0, 0), "violated"),
+        (Bound(min=-1, max=1), 0, "holds"),
+        (Bound(min=-1, max=1), -1.5, "violated"),
+        (Bound(min=-1, max=1), 1.5, "violated"),
+        (Bound(max=0), 0, "holds"),
+        (Bound(max=0), -0.0, "holds"),
+        (Bound(max=1), math.nan, "violated"),
+    ],
+)
+def test_a_number_is_held_against_both_its_bounds(bound: Bound, value: float, verdict: str) -> None:
+    (row,) = judge({"tilt_max_deg": value}, {"tilt_max_deg": bound})
+    assert row.verdict == verdict
+
+
+@pytest.mark.parametrize("metrics", [{}, {"goal_error_m": None}, {"goal_error_m": {"a1": 0.0}}, {"goal_error_m": "0"}])
+def test_what_was_not_measured_is_neither_held_nor_violated(metrics: dict[str, object]) -> None:
+    (row,) = judge(metrics, {"goal_error_m": Bound(max=1)})
+    assert (row.verdict, row.value) == ("unknown", None)
+
+
+def test_each_bound_is_judged_by_its_own_metric_in_the_scenarios_order() -> None:
+    rows = judge({"a": 1.0, "b": 5.0, "c": 0.0}, {"c": Bound(max=1), "b": Bound(max=1), "a": Bound(min=1)})
+    assert [(row.metric, row.value, row.verdict) for row in rows] == [
+        ("c", 0.0, "holds"),
+        ("b", 5.0, "violated"),
+        ("a", 1.0, "holds"),
+    ]
+    assert [row.expected for row in rows] == ["<= 1", "<= 1", ">= 1"]
+    assert Judged("d", 0.0, Bound(min=0, max=0.5), "holds").expected == ">= 0 and <= 0.5"
+
+
+def rows_of(*verdicts: str) -> tuple[Judged, ...]:
+    values = {"holds": 0.0, "violated": 2.0, "unknown": None}
+    return judge({v: values[v] for v in verdicts}, {v: Bound(max=1) for v in verdicts})
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "completed", "verdict"),
+    [
+        ((), True, "holds"),
+        ((), False, "unknown"),
+        (("holds",), True, "holds"),
+        (("holds",), False, "unknown"),  # the bound held so far; what would have come is not known
+        (("holds", "unknown"), True, "unknown"),
+        (("unknown", "violated"), True, "violated"),
+        (("violated", "holds"), True, "violated"),
+        (("violated",), False, "violated"),
+    ],
+)
+def test_one_violation_decides_and_only_a_run_that_ended_holds(
+    verdicts: tuple[str, ...], completed: bool, verdict: str
+) -> None:
+    rows = rows_of(*verdicts)
+    assert [row.verdict for row in rows] == list(verdicts)
+    assert overall(rows, completed) == verdict
