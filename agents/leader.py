@@ -26,8 +26,8 @@ class LeaderSettings:
     goal_m: tuple[float, float]
     """Where the load's frame O shall end, (2,) m, world."""
     force_max_N: float = 40.0
-    stiffness_N_m: float = 40.0
-    damping_Ns_m: float = 120.0
+    stiffness_N_m: float = 100.0
+    damping_Ns_m: float = 320.0
     point: str = "front"
     """Name of the point of the load that is pulled."""
     join_timeout_s: float = 30.0

@@ -65,8 +65,11 @@ class SafeController:
             ("base_force", effort.base_force, 3),
             ("stiffness", effort.stiffness, self._joints),
         ):
-            if np.shape(values) != (size,):
-                raise ControllerError(f"controller {self._name}: {what}: got shape {np.shape(values)}, expected ({size},)")
+            if not isinstance(values, np.ndarray) or values.shape != (size,):
+                raise ControllerError(
+                    f"controller {self._name}: {what}: got {type(values).__name__} of shape {np.shape(values)}, "
+                    f"expected a numpy array of shape ({size},)"
+                )
             if not isfinite(values.sum()):  # a sum is finite only if all its terms are
                 raise ControllerError(f"controller {self._name}: {what}: got {values}, expected finite numbers")
         if self._offset is None:

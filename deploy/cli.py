@@ -199,8 +199,8 @@ def leader(
     goal_m: Annotated[tuple[float, float], typer.Option("--goal-m", metavar="X Y", help="Where the load shall go, m.")],
     connect: Connect = DEFAULT_ENDPOINT,
     force_max: Annotated[float, typer.Option("--force-max-N", min=0.0)] = 40.0,
-    stiffness: Annotated[float, typer.Option("--stiffness-N-m", min=0.0)] = 40.0,
-    damping: Annotated[float, typer.Option("--damping-Ns-m", min=0.0)] = 120.0,
+    stiffness: Annotated[float, typer.Option("--stiffness-N-m", min=0.0)] = 100.0,
+    damping: Annotated[float, typer.Option("--damping-Ns-m", min=0.0)] = 320.0,
     point: Annotated[str, typer.Option(help="Point of the load that is pulled.")] = "front",
     with_parent: WithParent = False,
 ) -> None:

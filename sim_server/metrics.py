@@ -85,7 +85,8 @@ def physical_metrics(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
 def tilt_deg(quat_wxyz: Array) -> Array:
     """Angle between the load's vertical and the world's, (rows,) deg, from unit quaternions (rows, 4)."""
     _, x, y, _ = quat_wxyz.T
-    return np.degrees(2.0 * np.arcsin(np.minimum(1.0, np.hypot(x, y))))
+    tilt: Array = np.degrees(2.0 * np.arcsin(np.minimum(1.0, np.hypot(x, y))))
+    return tilt
 
 
 def roll_pitch_yaw_deg(quat_wxyz: Array) -> Array:
@@ -94,7 +95,8 @@ def roll_pitch_yaw_deg(quat_wxyz: Array) -> Array:
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
     yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    return np.degrees(np.stack([roll, pitch, yaw], axis=1))
+    angles: Array = np.degrees(np.stack([roll, pitch, yaw], axis=1))
+    return angles
 
 
 def rotation_matrices(quat_wxyz: Array) -> Array:

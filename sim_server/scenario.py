@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Vector2 = tuple[Finite, Finite]
 Vector3 = tuple[Finite, Finite, Finite]
 
@@ -22,7 +22,7 @@ LoadPoint = Literal["centre", "front", "back", "left", "right"]
 
 
 class Section(BaseModel):
-    """A table of a scenario file: immutable, unknown keys refused."""
+    """A table of a scenario file: immutable, unknown keys refused. Numbers are strict: no text, no true or false."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -31,7 +31,7 @@ class Clock(Section):
     """How simulated time relates to the agents' answers."""
 
     mode: Literal["lock-step"] = "lock-step"
-    control_period_ms: Annotated[int, Field(ge=1, le=20)] = 1
+    control_period_ms: Annotated[int, Field(strict=True, ge=1, le=20)] = 1
     """Time from one tick to the next; the control law runs once per tick."""
     answer_timeout_s: Positive = 5.0
     """Wall time after which lock-step goes on without an agent that has not answered: that tick is missed."""
@@ -42,7 +42,7 @@ class Clock(Section):
 class Team(Section):
     """The bearers: how many, with which arm, standing where, under which law."""
 
-    count: Annotated[int, Field(ge=1, le=16)]
+    count: Annotated[int, Field(strict=True, ge=1, le=16)]
     arm: str = "panda"
     controller: str = "paper"
     """A controller's name or ``module:Class``."""
@@ -50,7 +50,7 @@ class Team(Section):
     """The controller's settings; the agents check them."""
     handover_s: NotNegative = 1.0
     """Time over which a follower's torque passes from what its arm carried at take-over to what the law wants."""
-    missed_ticks_until_lost: Annotated[int, Field(ge=1)] = 20
+    missed_ticks_until_lost: Annotated[int, Field(strict=True, ge=1)] = 20
     """Ticks without an answer, in a row, after which an arm is lost (as on the arm's own interface)."""
     on_lost: Literal["limp"] = "limp"
     """What a lost arm does. ``limp``: gravity compensated and damped, still holding; its base rolls freely."""
@@ -66,7 +66,7 @@ class Load(Section):
     mass_kg: Positive = 20.0
     centre_of_mass_offset_m: Vector3 = (0.0, 0.0, 0.0)
     """Shift of the centre of mass from where the shape puts it, in O."""
-    struts: Annotated[int, Field(ge=1, le=16)] = 4
+    struts: Annotated[int, Field(strict=True, ge=1, le=16)] = 4
     """Places to grasp, laid out evenly around the rim."""
 
 
@@ -76,10 +76,10 @@ class Leader(Section):
     goal_m: Vector2
     """Where the load's frame O shall end, in the world's plane; the load starts at (0, 0)."""
     force_max_N: Positive = 40.0
-    stiffness_N_m: NotNegative = 40.0
-    damping_Ns_m: NotNegative = 120.0
+    stiffness_N_m: NotNegative = 100.0
+    damping_Ns_m: NotNegative = 320.0
     point: LoadPoint = "front"
-    period_ms: Annotated[int, Field(ge=1)] = 10
+    period_ms: Annotated[int, Field(strict=True, ge=1)] = 10
     """The leader looks and pulls once in this time."""
 
 
@@ -97,8 +97,8 @@ class Base(Section):
 class Plant(Section):
     """The world, and how it differs from what the agents believe. All differences are drawn from the seed."""
 
-    physics_step_ms: Annotated[int, Field(ge=1, le=10)] = 1
-    link_mass_error: Annotated[float, Field(ge=0, lt=1)] = 0.03
+    physics_step_ms: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
+    link_mass_error: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.03
     """Each link's mass and inertia is off by a factor drawn from 1 +- this (uniform)."""
     joint_damping_Nms_rad: NotNegative = 0.5
     """Viscous joint friction that the agents' model does not have; each joint draws 0.5 to 1.5 times this."""
@@ -109,14 +109,14 @@ class Plant(Section):
     torque_noise_Nm: NotNegative = 0.05
     wrench_noise_N: NotNegative = 0.2
     wrench_noise_Nm: NotNegative = 0.02
-    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0
+    delay_ticks: Annotated[int, Field(strict=True, ge=0, le=100)] = 0
     """Ticks between an agent's answer and the motor driver that obeys it."""
 
 
 class Record(Section):
     """What goes into trace.parquet."""
 
-    every_ticks: Annotated[int, Field(ge=1)] = 5
+    every_ticks: Annotated[int, Field(strict=True, ge=1)] = 5
 
 
 class Event(Section):
@@ -143,7 +143,7 @@ class Scenario(Section):
     """One scenario file, checked."""
 
     description: str
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Annotated[int, Field(strict=True, ge=0)] = 1
     duration_s: Positive = 25.0
     clock: Clock = Clock()
     team: Team

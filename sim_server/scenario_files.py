@@ -115,7 +115,8 @@ def _overlay(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, An
     for key, value in above.items():
         old = merged.get(key)
         is_bound = isinstance(value, Mapping) and value and not value.keys() - {"min", "max"}
-        merged[key] = _overlay(old, value) if isinstance(old, dict) and isinstance(value, Mapping) and not is_bound else value
+        both_tables = isinstance(old, dict) and isinstance(value, Mapping)
+        merged[key] = _overlay(old, value) if both_tables and not is_bound else value
     return merged
 
 
@@ -139,7 +140,9 @@ def _known_keys(place: tuple[int | str, ...]) -> str:
     """The keys that are known where the unknown one stands."""
     model: Any = Scenario
     for part in place[:-1]:
-        annotation = model.model_fields[part].annotation if hasattr(model, "model_fields") and part in model.model_fields else None
+        if part not in model.model_fields:
+            continue  # the name of a metric, the number of an event
+        annotation = model.model_fields[part].annotation
         options = [annotation, *getattr(annotation, "__args__", ())]
         model = next((option for option in options if hasattr(option, "model_fields")), None)
         if model is None:

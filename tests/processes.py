@@ -187,9 +187,9 @@ class LaunchedRun:
         )
 
     def simulated_s(self) -> float:
-        """Simulated time that the last line of progress tells."""
+        """Simulated time that the last line of progress tells; negative before the first."""
         times = re.findall(r"^\s*([\d.]+) of \d+ s,", self.command.output.read_text(), re.MULTILINE)
-        return float(times[-1]) if times else 0.0
+        return float(times[-1]) if times else -1.0
 
     def wait_until_carrying(self, simulated_s: float) -> None:
         """Until the run has come this far; finds the children and the port on the way."""
@@ -208,7 +208,7 @@ class LaunchedRun:
     def signal(self, child: str, number: signal.Signals) -> None:
         self.children[child].send_signal(number)
 
-    def wait_until_nobody_is_left(self, deadline_s: float = 20.0) -> None:
+    def wait_until_nobody_is_left(self, deadline_s: float = 10.0) -> None:
         """Nobody of the family, nobody who names the folder or the port, and the port closed."""
         wait_until(lambda: not self.command.survivors(), "the children to be gone", deadline_s)
         assert processes_that_name(str(self.folder)) == []

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgpack
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from wire import PROTOCOL_VERSION
@@ -140,6 +140,9 @@ SAMPLES: dict[str, Message] = {
     "progress": Progress("running", "", 100, 30_000, 0.1, 0.9, 1.25, -1.0),
     "order": Order("stop"),
 }
+SLOW_MACHINE: Any = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+"""Time is no property that is tested here: a busy machine must not make a test fail."""
+
 every_message = pytest.mark.parametrize("kind", SCHEMAS)
 
 
@@ -190,7 +193,7 @@ def test_a_schema_has_its_class_s_fields_in_their_order(kind: str) -> None:
 
 
 @every_message
-@settings(max_examples=40)
+@settings(max_examples=40, **SLOW_MACHINE)
 @given(data=st.data())
 def test_a_message_survives_the_wire_unchanged(kind: str, data: st.DataObject) -> None:
     message = data.draw(MESSAGES[kind])
@@ -432,7 +435,7 @@ def test_a_flipped_bit_gives_a_message_or_a_refusal(kind: str) -> None:
             judged(bytes(flipped))
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, **SLOW_MACHINE)
 @given(st.binary(max_size=400))
 def test_random_bytes_give_a_message_or_a_refusal(payload: bytes) -> None:
     judged(payload)
@@ -453,7 +456,7 @@ values = st.recursive(
 
 
 @every_message
-@settings(max_examples=30)
+@settings(max_examples=20, **SLOW_MACHINE)
 @given(data=st.data())
 def test_any_value_in_any_field_gives_a_message_or_a_refusal(kind: str, data: st.DataObject) -> None:
     body = body_of(SAMPLES[kind])
@@ -462,7 +465,7 @@ def test_any_value_in_any_field_gives_a_message_or_a_refusal(kind: str, data: st
     judged(packed(body))
 
 
-@settings(max_examples=100)
+@settings(max_examples=100, **SLOW_MACHINE)
 @given(values)
 def test_any_value_gives_a_refusal_when_it_is_no_message(value: object) -> None:
     assert isinstance(judged(packed(value)), Refused)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -26,6 +26,7 @@ from agents.equations.null_space import (
     null_inverse,
     null_inverse_rate,
     null_torque,
+    null_torque_projected,
     null_velocity,
 )
 from agents.equations.stiffness import (
@@ -51,17 +52,22 @@ Array = NDArray[np.float64]
 EXACT = 1e-14
 """For sums by hand with numbers up to 100: one or two roundings."""
 ALGEBRA = 1e-9
-"""Relative: rounding of 2e-16, times the conditions of J M^-1 J^T and of J_m (together below 1e5 here), with reserve."""
+"""Relative: rounding of 2e-16, times the conditions of J M^-1 J^T (below 500 here) and of J_m (below 30), and some."""
 H = 1e-5
 """Step of a central difference: cutting off costs H^2 = 1e-10 of the third derivative, rounding 2e-16 / H = 2e-11."""
 DIFFERENCE = 1e-6
-"""Relative, for differences with H of what holds J#: its third derivative grows with 1 / sigma^3, sigma > 0.1."""
+"""Relative, for differences with H of what holds J# or J_m^-1: the third derivative grows with 1 / sigma^3, and their
+smallest singular values sigma go down to 0.1 and 0.05."""
 
 
 def close(got: Array, expected: Array, relative: float) -> None:
     """Equal to ``relative`` of the largest number (at least 1) of what was expected."""
     scale = max(1.0, float(np.abs(expected).max()))
     np.testing.assert_allclose(got, expected, rtol=0, atol=relative * scale)
+
+
+def inverse(A: Array) -> Array:
+    return cast(Array, np.linalg.inv(A))
 
 
 # Solved by hand: two links of 1 m with point masses of 1 kg at their ends, q = (0, 90 deg), so that the elbow is at
@@ -205,14 +211,14 @@ def terms(q: Array, qd: Array) -> Terms:
     return Terms(arm, J, arm.Jdot[2:5], Lambda_x, dynamically_consistent_inverse(J, arm.M_inv, Lambda_x))
 
 
-PIVOTS = ((1, 2, 4), (1, 3, 5), (2, 3, 4), (3, 4, 5))
+PIVOTS = ((1, 2, 5), (1, 3, 5), (1, 4, 5), (1, 5, 6))
 """Joints 2 to 7 by number from 0; the first joint is vertical and moves no task direction."""
 
 
 def usable(J: Array) -> bool:
     """Away from postures in which the task, or a partition of it, is lost: there the numbers grow without bound."""
-    least = [np.linalg.svd(part, compute_uv=False)[-1] for part in (J, *(J[:, list(p)] for p in PIVOTS))]
-    return bool(min(least) > 0.1)
+    task, *parts = (np.linalg.svd(part, compute_uv=False)[-1] for part in (J, *(J[:, list(p)] for p in PIVOTS)))
+    return bool(task > 0.1 and min(parts) > 0.05)
 
 
 def random_states(count: int) -> list[Terms]:
@@ -293,14 +299,14 @@ class Null:
 def null(state: Terms, Z: Array, Zdot: Array) -> Null:
     arm = state.arm
     Lambda = null_inertia(Z, arm.M)
-    Lambda_inv = np.linalg.inv(Lambda)
+    Lambda_inv = inverse(Lambda)
     Zbar = null_inverse(Z, arm.M, Lambda_inv)
     Zbar_dot = null_inverse_rate(Z, Zdot, Zbar, arm.M, arm.C + arm.C.T, Lambda_inv)
     return Null(Z, Lambda, Zbar, Zbar_dot, null_coriolis(Z, arm.C, Lambda, Zbar_dot), null_velocity(Zbar, arm.qd))
 
 
 def at_rest(state: Terms, Z: Array) -> Null:
-    """The basis moves as the controller's does."""
+    """The basis moves by null_basis_rate."""
     return null(state, Z, null_basis_rate(state.Jbar, state.Jdot, Z))
 
 
@@ -308,7 +314,7 @@ def at_rest(state: Terms, Z: Array) -> Null:
 def test_no_motion_of_the_null_space_moves_the_task_and_the_inverses_belong_together(name: str) -> None:
     for state in STATES:
         Z = BASES[name](state)
-        Zbar = null_inverse(Z, state.arm.M, np.linalg.inv(null_inertia(Z, state.arm.M)))
+        Zbar = null_inverse(Z, state.arm.M, inverse(null_inertia(Z, state.arm.M)))
         assert np.linalg.matrix_rank(Z) == 4
         close(state.J @ Z, np.zeros((3, 4)), ALGEBRA)
         close(state.J @ state.Jbar, np.eye(3), ALGEBRA)
@@ -424,7 +430,7 @@ def rates(path: str, state: Terms, Z: Array, qdd: Array) -> Rates:
         then = on_a_path(state, qdd, s)
         Z_then = PATHS[path](state, then, Z)
         Lambda = null_inertia(Z_then, then.arm.M)
-        Zbar = null_inverse(Z_then, then.arm.M, np.linalg.inv(Lambda))
+        Zbar = null_inverse(Z_then, then.arm.M, inverse(Lambda))
         sides.append((Z_then, Zbar, Lambda, null_velocity(Zbar, then.arm.qd)))
     return Rates(*((after - before) / (2 * H) for after, before in zip(*sides, strict=True)))
 
@@ -443,7 +449,7 @@ def test_basis_rate_is_that_of_any_moving_basis_but_for_a_mixing_of_its_columns(
     for state in STATES:
         Z = start(path, state)
         found = rates(path, state, Z, np.zeros(7)).Z
-        Zbar = null_inverse(Z, state.arm.M, np.linalg.inv(null_inertia(Z, state.arm.M)))
+        Zbar = null_inverse(Z, state.arm.M, inverse(null_inertia(Z, state.arm.M)))
         close(found - Z @ (Zbar @ found), null_basis_rate(state.Jbar, state.Jdot, Z), DIFFERENCE)
 
 
@@ -479,7 +485,7 @@ def test_eq_13_with_eq_5_gives_eq_11_on_the_moving_arm(path: str) -> None:
         qdd = mujoco_acceleration(state.arm, law(state, part, rng.normal(size=3), rng.normal(size=7)))
         nud = rates(path, state, Z, qdd).nu
         close(part.Lambda @ nud, -(part.mu + B_nu) @ part.nu + Z.T @ (K * Q_ERR), DIFFERENCE)
-        close(null_acceleration(np.linalg.inv(part.Lambda), part.mu, B_nu, part.nu, Z, K, Q_ERR), nud, DIFFERENCE)
+        close(null_acceleration(inverse(part.Lambda), part.mu, B_nu, part.nu, Z, K, Q_ERR), nud, DIFFERENCE)
 
 
 def mixed(state: Terms, seed: int) -> Null:
@@ -508,20 +514,32 @@ def test_null_torque_does_not_depend_on_the_basis_nor_on_how_it_moves() -> None:
             close(other.torque(state.arm.qd, null_damping(other.Z, D)), torque, ALGEBRA)
 
 
+def test_null_torque_without_a_basis_is_eq_13() -> None:
+    """What runs is the printed equation, for every basis, to rounding."""
+    for state in STATES:
+        arm = state.arm
+        bases = {"orthonormal": at_rest(state, null_basis_orthonormal(state.J)), **bases_and_rates(state)}
+        for part in bases.values():
+            printed = part.torque(arm.qd, null_damping(part.Z, D))
+            args = (state.J, state.Jdot, state.Jbar, state.Lambda_x, arm.C, D, arm.qd, K, Q_ERR)
+            close(null_torque_projected(*args), printed, ALGEBRA)
+
+
 def test_null_torque_would_depend_on_the_basis_with_the_printed_damping() -> None:
     """B_nu = 0.4 I (22.9 I in SI) in the coordinates of nu means another force for every basis."""
     B_nu = 22.9 * np.eye(4)
     for state in STATES:
         torque = at_rest(state, null_basis_orthonormal(state.J)).torque(state.arm.qd, B_nu)
         for name, other in bases_and_rates(state).items():
-            # Orthonormal bases alone agree among themselves: they are turned, and I turns into itself.
+            # Only orthonormal bases agree: one is the other turned, and I turns into itself. (What the continued one
+            # lacks of orthonormality shows here: 3e-4 N m; of the others none differs by less than 1 N m.)
             differs = np.abs(other.torque(state.arm.qd, B_nu) - torque).max()
-            assert differs < 1e-3 if name == "continued" else differs > 0.1, (name, differs)
+            assert differs < 1e-3 if name == "continued" else differs > 0.5, (name, differs)
 
 
 def test_continued_basis_stays_orthonormal_and_continuous_over_a_long_motion() -> None:
-    """Half a second at the joints' speed limits, 1 ms steps. In one step the columns turn by up to |J#| |Jdot| 1 ms
-    (2e-2 here); what one Newton-Schulz step leaves of the length error is of second order of its square."""
+    """Half a second at the joints' speed limits, 1 ms steps. The projection shortens and shears the columns by up to
+    e = 1.8e-3 a step here; one Newton-Schulz step leaves 3/4 e^2 = 2.4e-6 of that, and it must not add up."""
     state = terms(np.array([0.0, -0.1, 0.0, -2.1, 0.0, 2.0, 0.8]), np.zeros(7))
     Z = null_basis_orthonormal(state.J)
     for k in range(1, 501):
@@ -529,8 +547,8 @@ def test_continued_basis_stays_orthonormal_and_continuous_over_a_long_motion() -
         then = terms(state.arm.q + 0.3 * (np.sin(phase) - np.sin(np.arange(7))), np.zeros(7))
         before, Z = Z, null_basis_continued(Z, then.J, then.Jbar)
         assert np.abs(then.J @ Z).max() < 1e-12  # rounding: J J# = I
-        assert np.abs(Z.T @ Z - np.eye(4)).max() < 1e-6
-        assert np.abs(Z - before).max() < 2e-2
+        assert np.abs(Z.T @ Z - np.eye(4)).max() < 2.4e-6
+        assert np.abs(Z - before).max() < 4e-3  # they turn by up to |J#| |Jdot| 1 ms: 2.9e-3 measured
 
 
 # Stiffness and units.
@@ -611,11 +629,12 @@ def test_a_hand_that_is_too_low_is_pushed_upwards() -> None:
     for state in STATES:
         x_err = np.array([0.01, 0.0, 0.0])  # x_d - x: wanted 10 mm above where it is
         xdd_c = task_acceleration(np.zeros(3), np.zeros(3), x_err, np.full(3, 1.0), np.full(3, 80.0))
-        tau = task_torque(state.J, state.Lambda_x, xdd_c, state.Jbar, external_torque(K, state.Jbar, x_err))
+        tau = task_torque(state.J, state.Lambda_x, xdd_c, state.Jbar, np.zeros(7))
         qdd = mujoco_acceleration(state.arm, tau + state.arm.C @ state.arm.qd + state.arm.g)
-        assert (state.J @ qdd)[0] > 0.8  # 80 1/s^2 times 10 mm; the observer adds to it
-        # The observer's share is a spring too: its force at the hand never pulls the error apart.
-        assert x_err @ (state.Jbar.T @ external_torque(K, state.Jbar, x_err)) > 0
+        close(state.J @ qdd, np.array([0.8, 0.0, 0.0]), ALGEBRA)  # 80 1/s^2 times 10 mm, and no tilting
+        # The observer is a spring: an upward force too. (Not decoupled: it tilts as well, and by way of that the
+        # acceleration can even be downwards in postures far from the working one.)
+        assert (state.Jbar.T @ external_torque(K, state.Jbar, x_err))[0] > 0
 
 
 def test_task_damping_takes_twice_the_tasks_kinetic_energy_per_time_constant() -> None:

@@ -9,7 +9,7 @@ from itertools import product
 from typing import Any
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -174,11 +174,32 @@ def test_an_answer_with_one_thing_wrong_is_refused_for_that(changed: dict[str, A
 
 def test_a_second_answer_is_a_duplicate_and_a_late_one_is_stale() -> None:
     link = link_in(Phase.TICKING)
-    link.answer(command(5, 1))
-    assert refused(link, lambda: link.answer(command(5, 1))) == Reason.DUPLICATE
-    link.state_sent(6)
-    link.miss()
-    assert refused(link, lambda: link.answer(command(6, 1))) == Reason.STALE
+    for tick in (5, 7):  # in the second round there has been a miss before
+        link.answer(command(tick, 1))
+        assert refused(link, lambda: link.answer(command(link.last_tick, 1))) == Reason.DUPLICATE
+        link.state_sent(tick + 1)
+        assert not link.miss()
+        assert refused(link, lambda: link.answer(command(link.last_tick, 1))) == Reason.STALE
+        link.state_sent(tick + 2)
+
+
+@pytest.mark.parametrize("lost_after", [1, 2, 3, 20])
+def test_lost_means_so_many_misses_in_a_row_and_an_answer_starts_the_count_again(lost_after: int) -> None:
+    link = AgentLink(replace(INVITATION, lost_after=lost_after))
+    link.greet(HELLO)
+    link.matched()
+    tick = 0
+    for misses in (lost_after - 1, lost_after - 1, lost_after):
+        for k in range(1, misses + 1):
+            tick += 1
+            link.state_sent(tick)
+            assert link.miss() is (k == lost_after)
+        if misses < lost_after:
+            tick += 1
+            link.state_sent(tick)
+            link.answer(command(tick, 1))
+    assert link.phase is Phase.LOST
+    assert link.missed == 3 * lost_after - 2
 
 
 @pytest.mark.parametrize(
@@ -342,17 +363,23 @@ class AnyNetwork(RuleBasedStateMachine):
             self.go()
             assert self.link.phase is Phase.LOST
 
-    @precondition(lambda self: self.is_connected)
-    @rule(answered=st.booleans())
-    def run_one_tick(self, answered: bool) -> None:
-        """The usual course, so that long runs of ticks and of misses come up too."""
-        if not self.is_open():
-            self.send_state(1)
-        if answered:
-            self.arrive(command(self.newest_tick, self.newest_lease))
-            assert self.fate[self.newest_tick] == "answered"
-        else:
-            self.give_up()
+    @rule(answered=st.lists(st.booleans(), max_size=8))
+    def run(self, answered: list[bool]) -> None:
+        """The usual course, so that long rows of answers and of misses come up too."""
+        if not self.is_in:
+            self.greet()
+        if not self.is_connected:
+            self.match()
+        for each in answered:
+            if not self.is_connected:  # lost on the way
+                break
+            if not self.is_open():
+                self.send_state(1)
+            if each:
+                self.arrive(command(self.newest_tick, self.newest_lease))
+                assert self.fate[self.newest_tick] == "answered"
+            else:
+                self.give_up()
 
     # The network
 
@@ -432,5 +459,7 @@ class AnyNetwork(RuleBasedStateMachine):
         assert not (self.is_in and self.misses == self.lost_after)
 
 
-AnyNetwork.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+AnyNetwork.TestCase.settings = settings(
+    max_examples=150, stateful_step_count=40, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 TestAnyNetworkLeavesOneAnswerPerTickOfTheOneWhoIsIn = AnyNetwork.TestCase

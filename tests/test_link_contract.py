@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from typing import Protocol
 
 import psutil
@@ -81,13 +82,15 @@ def test_a_put_reaches_the_subscriber_of_its_key_and_nobody_else(network: Networ
     for key in (A.state, A.command, A.hello):
         receiver.subscribe(key, heard[key].append)
     other.subscribe(B.state, heard[B.state].append)
-    publisher, last = sender.publisher(A.state), [sender.publisher(key) for key in (A.command, A.hello, B.state)]
-    for each in (publisher, *last):
+    publisher = sender.publisher(A.state)
+    last = {key: sender.publisher(key) for key in (A.command, A.hello, B.state)}
+    for each in (publisher, *last.values()):
         until(each.matched, "the subscriber is matched")
     publisher.put(b"for a1")
-    for each in last:  # what they should not hear would have come before this
+    until(partial(heard.get, A.state), "the put arrives")
+    for key, each in last.items():  # what they should not hear would have come before this
         each.put(b"last")
-    until(lambda: all(heard.values()), "all have heard something")
+        until(partial(heard.get, key), "the last put arrives")
     assert heard == {A.state: [b"for a1"], A.command: [b"last"], A.hello: [b"last"], B.state: [b"last"]}
 
 
@@ -123,7 +126,8 @@ def test_a_put_before_matching_is_lost_and_matched_tells(network: Network) -> No
     until(lambda: not publisher.matched(), "the subscriber's end is noticed")
 
 
-def test_puts_arrive_whole_and_in_order(network: Network) -> None:
+def test_puts_one_at_a_time_all_arrive_whole(network: Network) -> None:
+    """One at a time, as the ticks are: of a burst, Zenoh drops what its queue has no room for on a busy machine."""
     heard: list[bytes] = []
     network.server.subscribe(A.command, heard.append)
     publisher = network.client().publisher(A.command)
@@ -131,8 +135,9 @@ def test_puts_arrive_whole_and_in_order(network: Network) -> None:
     sent = [b"", b"\0\xff\n", bytes(range(256)) * 32, *(str(k).encode() for k in range(200))]
     for payload in sent:
         publisher.put(payload)
-    until(lambda: len(heard) >= len(sent), "all have arrived")
-    assert heard == sent
+        until(lambda: heard, "the put arrives")
+        assert heard == [payload]
+        heard.clear()
 
 
 # Queries

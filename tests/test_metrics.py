@@ -19,7 +19,7 @@ from sim_server.metrics import (
     tilt_deg,
 )
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 FOUR_GRASPS = {"a1": (0.9, 0.5, 0.7), "a2": (-0.9, -0.5, 0.7), "a3": (-0.9, 0.5, 0.7), "a4": (0.9, -0.5, 0.7)}
 TORQUE_MAX = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
@@ -145,7 +145,7 @@ def test_path_length_is_the_way_there_and_back_in_the_plane() -> None:
 
 def test_goal_error_is_the_distance_at_the_end_in_the_plane() -> None:
     trace = still(3)
-    trace["load.position"][:] = [[2, 0, 0], [0, 0, 0], [1.7, 0.4, 5.0]]
+    trace["load.position"][:] = [[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.7, 0.4, 5.0]]
     assert measured(trace)["goal_error_m"] == pytest.approx(0.5, rel=EXACT)
 
 
@@ -172,7 +172,7 @@ def test_overshoot_is_how_far_past_the_goal_along_the_way_to_it() -> None:
     beside["load.position"][:, 1] = [0.0, 3.0, 0.0]  # across the way: not past the goal
     assert measured(beside)["overshoot_m"] == 0.0
     slanted = still(3)
-    slanted["load.position"][:, :2] = [[1, 1], [4, 5], [4 + 0.3, 5 + 0.4]]
+    slanted["load.position"][:, :2] = [[1.0, 1.0], [4.0, 5.0], [4.3, 5.4]]
     assert measured(slanted, facts(goal=(4.0, 5.0)))["overshoot_m"] == pytest.approx(0.5, rel=EXACT)
 
 
@@ -186,7 +186,7 @@ def test_the_speed_at_the_end_is_the_largest_of_the_last_second_in_the_plane() -
 
 def test_drift_is_the_displacement_per_minute_of_a_load_that_nobody_leads() -> None:
     trace = still(4, dt_s=10.0)
-    trace["load.position"][:, :2] = [[0, 0], [5, 5], [5, -5], [0.03, 0.04]]
+    trace["load.position"][:, :2] = [[0.0, 0.0], [5.0, 5.0], [5.0, -5.0], [0.03, 0.04]]
     trace["leader.force"][:] = 7.0
     found = measured(trace, facts(goal=None))
     assert found["drift_mm_per_min"] == pytest.approx(100.0, rel=1e-9)  # 50 mm in half a minute, whatever the way

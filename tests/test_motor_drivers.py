@@ -35,8 +35,8 @@ def advance(motors: MotorDrivers, steps: int = 1, gravity: Array = NOTHING, qd: 
 
 def test_the_pandas_limits_are_the_published_ones() -> None:
     """Franka Control Interface documentation, "Robot limits": every test below builds on these."""
-    assert PANDA.torque_Nm == (87, 87, 87, 87, 12, 12, 12)
-    assert PANDA.torque_rate_Nm_s == 1000
+    assert PANDA.torque_Nm == (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
+    assert PANDA.torque_rate_Nm_s == 1000.0
 
 
 def test_before_the_first_command_the_start_torque_is_held() -> None:

@@ -1,4 +1,4 @@
-"""The MuJoCo plant against laws of mechanics: energy, momentum, Newton and Euler; and its sensors against their sigma."""
+"""The MuJoCo plant against laws of mechanics (energy, momentum, Newton and Euler), its sensors against their sigma."""
 
 from __future__ import annotations
 

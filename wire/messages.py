@@ -113,7 +113,7 @@ class LeaderForce:
 
 @dataclass(frozen=True, slots=True)
 class Goodbye:
-    """An agent leaves in order (query on its ``hello`` key)."""
+    """An agent leaves in order (query on its ``hello`` key; the reply is the same message, or a :class:`Refusal`)."""
 
     name: str
     lease: int
@@ -121,7 +121,7 @@ class Goodbye:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The run is over, or this agent's part in it (on the agent's ``state`` key, and reply to a goodbye)."""
+    """The run is over, or this agent's part in it (on the agent's ``state`` key)."""
 
     reason: str
 

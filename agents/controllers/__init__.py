@@ -26,7 +26,7 @@ def find_controller(name: str) -> ControllerFactory:
     if name in CONTROLLERS:
         return CONTROLLERS[name]
     module_name, colon, class_name = name.partition(":")
-    if not colon:
+    if not (colon and all(part.isidentifier() for part in module_name.split("."))):
         raise ControllerError(
             f"controller {name!r} is unknown: expected one of {', '.join(CONTROLLERS)}, or module:Class for your own"
         )

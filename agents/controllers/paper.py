@@ -29,7 +29,7 @@ from agents.equations.task import (
 from agents.errors import ControllerError
 
 Array = NDArray[np.float64]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 
 TASK_ROWS = slice(2, 5)
 """Rows v_z, w_x, w_y of a hand Jacobian [v; w]."""

@@ -57,4 +57,5 @@ def adaptive_stiffness(k_nu: Array, beta: float, q_err: Array, q_err_rate: Array
         q_err, q_err_rate: projected joint error and its rate, (n,) rad, rad/s.
     """
     beta_rad = beta * DEG * DEG**0.5
-    return k_nu + (beta_rad * q_err / (1.0 + DEG * np.abs(q_err_rate))) ** 2
+    K: Array = k_nu + (beta_rad * q_err / (1.0 + DEG * np.abs(q_err_rate))) ** 2
+    return K

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,7 +62,7 @@ def task_inertia(J: Array, M_inv: Array) -> Array:
     Raises:
         numpy.linalg.LinAlgError: J has lost rank (the arm cannot move in some task direction).
     """
-    return np.linalg.inv(J @ M_inv @ J.T)
+    return cast(Array, np.linalg.inv(J @ M_inv @ J.T))
 
 
 def dynamically_consistent_inverse(J: Array, M_inv: Array, Lambda_x: Array) -> Array:
