@@ -84,7 +84,9 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
     """
     keys = Keys(settings.run)
     pid, host = here()
-    session = AgentSession(link, keys.leader, keys.sim_alive, Hello("leader", settings.run, "leader", "", "", pid, host))
+    session = AgentSession(
+        link, keys.leader, keys.sim_alive, Hello("leader", settings.run, "leader", "", "", pid, host)
+    )
     welcome = session.join(settings.join_timeout_s)
     if settings.point not in welcome.points:
         session.leave()

@@ -142,7 +142,9 @@ class Launcher:
             failed = None if started else self._failed_agent()
             if failed is not None:
                 time.sleep(2 * POLL_S)  # its log may still be on the way to the disk
-                return Ended(failed.process.returncode, f"{failed.name} ended before the first tick: {failed.last_words()}")
+                return Ended(
+                    failed.process.returncode, f"{failed.name} ended before the first tick: {failed.last_words()}"
+                )
             time.sleep(POLL_S)
         status = self.sim.process.returncode
         if status < 0:

@@ -17,7 +17,7 @@ from sim_server.plant import Plant
 from sim_server.reception import LEADER, Agent, Arrived, Reception, Report
 from wire.codec import decode, encode
 from wire.errors import Reason, Refused
-from wire.messages import Command, LeaderForce, LeaderView, Order, State
+from wire.messages import Command, End, LeaderForce, LeaderView, Order, State
 
 
 @dataclass(slots=True)
@@ -197,6 +197,8 @@ class LockStep:
     def _lose(self, name: str, why: str) -> None:
         self._waiting.discard(name)
         self._report("lost", agent=name, why=why, then="stops pulling" if name == LEADER else "limp")
+        # Should it still be there (it was stopped, or hung) it must not think that it is in.
+        self._reception.agents[name].publisher.put(encode(End(f"lost: {why}")))
         self._stop_driving(name)
 
     def _stop_driving(self, name: str) -> None:

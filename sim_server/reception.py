@@ -70,9 +70,7 @@ class Reception:
         report: called for every event: joined, lost, left, refused.
     """
 
-    def __init__(
-        self, link: Link, keys: Keys, invitations: Iterable[tuple[Invitation, Terms]], report: Report
-    ) -> None:
+    def __init__(self, link: Link, keys: Keys, invitations: Iterable[tuple[Invitation, Terms]], report: Report) -> None:
         self._keys, self._report = keys, report
         self.inbox: queue.SimpleQueue[Arrived] = queue.SimpleQueue()
         self.agents: dict[str, Agent] = {}
@@ -149,8 +147,11 @@ class Reception:
 
     @staticmethod
     def _named(key: str) -> str:
+        """The agent whose ``hello`` key this is; no arm is the leader, even if it calls itself so."""
         parts = key.split("/")
-        return parts[3] if len(parts) == 5 else LEADER
+        if len(parts) != 5:
+            return LEADER
+        return parts[3] if parts[3] != LEADER else ""
 
     def refuse(self, name: str, refusal: Refused) -> None:
         """Count a refusal; report the first of each kind and agent."""

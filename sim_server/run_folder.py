@@ -39,7 +39,9 @@ class RunFolder:
             path.mkdir(parents=True, exist_ok=True)
             self._events: TextIO = (path / EVENTS).open("w", encoding="utf-8")
         except OSError as error:
-            raise RunFolderError(f"cannot write to {path}: {error.strerror}; choose another folder with --out") from None
+            raise RunFolderError(
+                f"cannot write to {path}: {error.strerror}; choose another folder with --out"
+            ) from None
 
     @property
     def trace(self) -> Path:

@@ -114,10 +114,15 @@ def _overlay(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, An
     merged = dict(below)
     for key, value in above.items():
         old = merged.get(key)
-        is_bound = isinstance(value, Mapping) and value and not value.keys() - {"min", "max"}
-        both_tables = isinstance(old, dict) and isinstance(value, Mapping)
-        merged[key] = _overlay(old, value) if both_tables and not is_bound else value
+        if isinstance(old, dict) and isinstance(value, Mapping) and not _is_bound(value):
+            merged[key] = _overlay(old, value)
+        else:
+            merged[key] = value
     return merged
+
+
+def _is_bound(table: Mapping[str, Any]) -> bool:
+    return bool(table) and not table.keys() - {"min", "max"}
 
 
 def _explain(path: Path, errors: list[ErrorDetails]) -> ScenarioError:

@@ -1,9 +1,10 @@
 """trace.parquet: one row per recorded tick, written in blocks while the run goes on.
 
 Columns: ``tick``, ``time_s``, ``load.position`` (3), ``load.quat_wxyz`` (4), ``load.linear_velocity`` (3),
-``load.angular_velocity`` (3), ``leader.force`` (3), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n, applied),
-``a1.wrench`` (6), ``a1.stiffness`` (n), ``a1.base`` (3: x, y, yaw in the world), ``a1.base_velocity`` (3), ``a1.base_force``
-(3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at the grasp, world) and ``a1.age_ticks``.
+``load.angular_velocity`` (3), ``leader.force`` (3), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n,
+applied), ``a1.wrench`` (6), ``a1.stiffness`` (n), ``a1.base`` (3: x, y, yaw in the world), ``a1.base_velocity`` (3),
+``a1.base_force`` (3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at the grasp, world) and
+``a1.age_ticks``.
 """
 
 from __future__ import annotations

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any, cast
 
 import mujoco
@@ -13,6 +15,10 @@ import pytest
 from numpy.typing import NDArray
 
 from agents.arm_model import ArmModel, ArmSnapshot
+from agents.equations import law as law_equations
+from agents.equations import null_space as null_equations
+from agents.equations import stiffness as stiffness_equations
+from agents.equations import task as task_equations
 from agents.equations.law import base_force, joint_torque
 from agents.equations.null_space import (
     null_acceleration,
@@ -183,6 +189,24 @@ def test_base_force_by_hand() -> None:
     """Eq. 16: 2000 (0.01, -0.02) + 20 (0.5, 1). The hand is ahead: the base is driven forward, after it."""
     F = base_force(np.array([0.01, -0.02]), np.array([0.5, 1.0]), 2000.0, 20.0)
     np.testing.assert_allclose(F, [30.0, -20.0], atol=EXACT)
+
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "control-law.md"
+
+
+def test_the_page_on_the_law_names_every_equation_and_no_other() -> None:
+    named = set(
+        re.findall(
+            r"`(\w+)`", re.sub(r"^(?!\| ).*$", "", PAGE.read_text(encoding="utf-8").split("## Gains")[0], flags=re.M)
+        )
+    )
+    written = {
+        name
+        for module in (law_equations, null_equations, stiffness_equations, task_equations)
+        for name, function in vars(module).items()
+        if getattr(function, "__module__", None) == module.__name__
+    }
+    assert named == written
 
 
 # The real arm.
@@ -391,7 +415,7 @@ def on_a_path(state: Terms, qdd: Array, s: float) -> Terms:
     return terms(arm.q + s * arm.qd + 0.5 * s * s * qdd, arm.qd + s * qdd)
 
 
-Path = Callable[[Terms, Terms, Array], Array]
+Mover = Callable[[Terms, Terms, Array], Array]
 
 
 def projected(now: Terms, then: Terms, Z: Array) -> Array:
@@ -407,7 +431,7 @@ def partitioned(now: Terms, then: Terms, Z: Array) -> Array:
     return null_basis_partition(then.J, PIVOTS[0])
 
 
-PATHS: dict[str, Path] = {"projected": projected, "continued": kept_orthonormal, "partition": partitioned}
+PATHS: dict[str, Mover] = {"projected": projected, "continued": kept_orthonormal, "partition": partitioned}
 
 
 def start(path: str, state: Terms) -> Array:

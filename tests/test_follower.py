@@ -34,7 +34,7 @@ class PlayedSimulator:
         self.broker = Broker()
         self.link = self.broker.link()
         self.answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        points = {"front": (0.8, 0.0, 0.7)}
+        points: dict[str, Vector] = {"front": (0.8, 0.0, 0.7)}
         welcome = Welcome(lease=3, clock=clock, control_period_ns=1_000_000, points=points)
         for keys in (KEYS.arm("a1"), KEYS.leader):
             self.link.subscribe(keys.command, self.answers.put)
@@ -105,7 +105,7 @@ def test_in_real_time_a_follower_holds_its_arm_up_when_states_stop_coming() -> N
     assert simulator.command().tick == 5
     hold = simulator.command()  # nothing was sent to ask for it: the silence did
     assert hold.tick == 5
-    # Gravity of its own model and nothing else: the same numbers, so only rounding of the text-free wire, which is none.
+    # Gravity of its own model and nothing else. The wire carries doubles as they are: equal, not close.
     np.testing.assert_array_equal(hold.torque, gravity())
     assert hold.base_force == (0.0, 0.0, 0.0)
     assert hold.stiffness == ZERO
@@ -149,7 +149,9 @@ def test_a_state_that_does_not_fit_changes_nothing(bad: bytes) -> None:
 
 
 def test_a_refusal_at_hello_ends_the_follower_with_the_simulators_reason() -> None:
-    simulator = PlayedSimulator("lock-step", lambda: Refusal(Reason.DIGEST, "digest of the arm model: got x, expected y"))
+    simulator = PlayedSimulator(
+        "lock-step", lambda: Refusal(Reason.DIGEST, "digest of the arm model: got x, expected y")
+    )
     link = simulator.broker.link()
     simulator.start(lambda: run_follower(link, SETTINGS))
     ended = simulator.ended.get(timeout=DEADLINE_S)
@@ -180,7 +182,8 @@ def test_the_leader_answers_every_view_and_refuses_a_point_that_the_load_lacks()
     other.start(lambda: run_leader(link, LeaderSettings("test", (2.0, 0.0), point="nose")))
     ended = other.ended.get(timeout=DEADLINE_S)
     assert isinstance(ended, AgentError)
-    assert "nose" in str(ended) and "front" in str(ended)
+    assert "nose" in str(ended)
+    assert "front" in str(ended)
 
 
 def test_the_pull_is_proportional_damped_and_never_above_its_bound() -> None:

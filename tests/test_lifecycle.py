@@ -107,10 +107,17 @@ def test_nobody_is_driven_before_the_link_is_up_in_both_directions() -> None:
 # What each call does where it is not legal: the peer's fault is refused, our own raises MisuseError
 
 
-@pytest.mark.parametrize("phase", [Phase.HELLO, Phase.READY, Phase.TICKING])
+@pytest.mark.parametrize("phase", [Phase.READY, Phase.TICKING])
 def test_a_second_greeting_finds_the_place_taken(phase: Phase) -> None:
     link = link_in(phase)
     assert refused(link, lambda: link.greet(HELLO)) == Reason.TAKEN
+
+
+def test_a_welcome_that_was_lost_can_be_asked_for_again() -> None:
+    link = link_in(Phase.HELLO)
+    first = link.lease
+    assert link.greet(HELLO) > first
+    assert link.phase is Phase.HELLO
 
 
 @pytest.mark.parametrize("phase", set(Phase) - {Phase.TICKING})
@@ -298,7 +305,7 @@ class AnyNetwork(RuleBasedStateMachine):
 
     @rule()
     def greet(self) -> None:
-        if self.is_in:
+        if self.is_connected:
             assert refused(self.link, lambda: self.link.greet(HELLO)) == Reason.TAKEN
             return
         lease = self.link.greet(HELLO)

@@ -126,7 +126,8 @@ class MemoryAgent:
         message = decode_any(payload)
         if isinstance(message, End):
             self.ended = message.reason
-            self.link.close()
+            if message.reason == "the run is over":
+                self.link.close()
         elif isinstance(message, State | LeaderView):
             self.seen.append(message)
             self.behave(self, message)
@@ -479,7 +480,12 @@ def test_an_instance_that_was_thought_dead_cannot_drive_the_arm_of_the_new_one()
     bench.run(LOST_AFTER)
     assert bench.phase("a1") is Phase.LOST
     new = bench.join("a1", obedient)
-    old.behave = lambda agent, state: agent.command(state.tick, 99.0)
+
+    def haunted(agent: MemoryAgent, state: State | LeaderView) -> None:
+        old.command(state.tick, 99.0)
+        obedient(agent, state)
+
+    new.behave = haunted
     bench.run(3)
     assert bench.commands("a1") == [tick + 0.5 for tick in range(LOST_AFTER, LOST_AFTER + 3)]
     assert bench.refused("a1") == {Reason.LEASE: 3}
@@ -565,7 +571,8 @@ def server_run(folder: Path, seed: int, ticks: int, arms: int = 1) -> tuple[Outc
             agent.publisher.put(encode(follower.answer(state, agent.lease, 1e-3)))
 
         agents.append(MemoryAgent(broker, arm, answer, follower.hello()))
-    wanted = LeaderSettings(RUN, (2.0, 0.0))
+    assert named.scenario.leader is not None
+    wanted = LeaderSettings(RUN, named.scenario.leader.goal_m, named.scenario.leader.force_max_N)
 
     def lead(agent: MemoryAgent, view: State | LeaderView) -> None:
         assert isinstance(view, LeaderView)

@@ -161,6 +161,10 @@ def test_a_load_that_leaves_the_goal_again_arrives_when_it_stays() -> None:
     assert measured(on_x(0.0, 1.95, 2.3, 2.05, 2.0))["arrival_time_s"] == 3.0
 
 
+def test_a_load_that_comes_close_in_the_last_row_arrives_then() -> None:
+    assert measured(on_x(0.0, 1.0, 1.95))["arrival_time_s"] == 2.0
+
+
 def test_a_load_that_is_gone_in_the_last_row_has_not_arrived() -> None:
     assert measured(on_x(0.0, 2.0, 2.0, 2.2))["arrival_time_s"] is None
 
@@ -331,8 +335,9 @@ def test_internal_forces_move_nothing_and_taking_them_away_twice_changes_nothing
 def test_internal_force_of_a_run_is_taken_at_the_grasps_of_the_turned_load() -> None:
     """Two hands squeeze along the load's x while the load is turned: whole and only if the levers turn with it."""
     trace = still(2, arms=("a1", "a2"))
-    trace["load.quat_wxyz"] = quat((0, 0, 1), [90.0, 90.0])
-    trace["a1.grip"][:, 1], trace["a2.grip"][:, 1] = -30.0, 30.0
+    trace["load.quat_wxyz"] = quat((0, 0, 1), [50.0, 50.0])
+    along = np.array([np.cos(np.radians(50.0)), np.sin(np.radians(50.0)), 0.0])
+    trace["a1.grip"][:, :3], trace["a2.grip"][:, :3] = -30.0 * along, 30.0 * along
     grasps = {"a1": (0.8, 0.0, 0.4), "a2": (-0.8, 0.0, 0.4)}
     here = TraceFacts(("a1", "a2"), None, 20.0, (0.0, 0.0, 0.4), grasps, TORQUE_MAX)
     assert measured(trace, here)["internal_force_rms_N"] == pytest.approx(30.0, rel=1e-12)

@@ -29,7 +29,9 @@ from processes import (
     wait_until,
 )
 
+from deploy.launcher import leader_arguments
 from sim_server.metrics import METRICS
+from sim_server.scenario_files import load_scenario
 from sim_server.trace import columns, read_trace
 from wire.arms import arm_digest
 from wire.codec import decode_any, encode
@@ -369,7 +371,14 @@ def by_hand(tmp_path_factory: pytest.TempPathFactory) -> ByHand:
         }
         for name, stranger in strangers.items():
             seen.ended[name] = stranger.end(), stranger.errors.read_text()
-        lead = ("leader", "--run", RUN, "--goal-m", "2.0", "0.0", "--connect", endpoint)
+        lead = (
+            "leader",
+            "--run",
+            RUN,
+            "--connect",
+            endpoint,
+            *leader_arguments(load_scenario("transport-one").scenario),
+        )
         leader = stack.enter_context(started(*lead, cwd=cwd, name="leader"))
         sim.wait_until(lambda: any(each["kind"] == "started" for each in read_events(seen.folder)), "the start")
         with open_client(endpoint) as link:

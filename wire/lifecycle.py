@@ -2,7 +2,7 @@
 
     absent --greeted--> hello --matched--> ready --state_sent--> ticking --(answered | missed)--> ticking
     ticking --struck_out | vanished--> lost        any but absent --said_goodbye--> left
-    lost, left --greeted--> hello, with a new lease: what the old instance still sends is refused
+    hello, lost, left --greeted--> hello, with a new lease: what the old instance still sends is refused
 
 Illegal input raises and changes nothing.
 """
@@ -45,6 +45,7 @@ class Event(StrEnum):
 TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
     {
         (Phase.ABSENT, Event.GREETED): Phase.HELLO,
+        (Phase.HELLO, Event.GREETED): Phase.HELLO,  # its welcome was lost on the way, or it died before it was in
         (Phase.LOST, Event.GREETED): Phase.HELLO,
         (Phase.LEFT, Event.GREETED): Phase.HELLO,
         (Phase.HELLO, Event.MATCHED): Phase.READY,

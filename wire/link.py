@@ -50,7 +50,8 @@ class Link(Protocol):
         ...
 
     def watch_alive(self, key: str, handler: Callable[[bool], None]) -> None:
-        """Call ``handler`` with True when a sign of life appears on ``key`` (now, if it is there), False when it goes."""
+        """Call ``handler`` with True when a sign of life appears on ``key`` (now, if it is there), with False when it
+        goes."""
         ...
 
     def close(self) -> None: ...

@@ -148,6 +148,4 @@ class Order:
     verb: Literal["stop"]
 
 
-Message = (
-    Hello | Welcome | Refusal | State | Command | LeaderView | LeaderForce | Goodbye | End | Progress | Order
-)
+Message = Hello | Welcome | Refusal | State | Command | LeaderView | LeaderForce | Goodbye | End | Progress | Order

@@ -26,7 +26,9 @@ _COMMON: dict[str, Any] = {
             "tx": {
                 "lease": 500,
                 "keep_alive": 4,
-                "queue": {"congestion_control": {"drop": {"wait_before_drop": 1000}, "block": {"wait_before_close": 50000}}},
+                "queue": {
+                    "congestion_control": {"drop": {"wait_before_drop": 1000}, "block": {"wait_before_close": 50000}}
+                },
             }
         },
         "shared_memory": {"enabled": False},
@@ -48,7 +50,9 @@ def open_server(endpoint: str) -> ZenohLink:
         LinkError: the address is bad or in use.
     """
     _check_can_listen(endpoint)
-    return _open({**_COMMON, "mode": "peer", "listen": {"endpoints": [endpoint]}, "connect": {"endpoints": []}}, endpoint)
+    return _open(
+        {**_COMMON, "mode": "peer", "listen": {"endpoints": [endpoint]}, "connect": {"endpoints": []}}, endpoint
+    )
 
 
 def open_client(endpoint: str, *, timeout_s: float = 10.0) -> ZenohLink:
@@ -120,7 +124,7 @@ class ZenohQuestion:
 
     def reply(self, payload: bytes) -> None:
         self._query.reply(self.key, payload)
-        self._query.drop()
+        self._query.drop()  # type: ignore[no-untyped-call]  # the stub lacks its return type
 
 
 class ZenohPublisher:
@@ -131,7 +135,8 @@ class ZenohPublisher:
         self.put: Callable[[bytes], None] = publisher.put
 
     def matched(self) -> bool:
-        return self._publisher.matching_status.matching
+        status: Any = self._publisher.matching_status  # the stub says bool; it is an object with this attribute
+        return bool(status.matching)
 
 
 class ZenohLink:
@@ -179,7 +184,7 @@ class ZenohLink:
         for declared in self._declared:
             declared.undeclare()
         self._declared.clear()
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
 
     def __enter__(self) -> Self:
         return self

@@ -36,7 +36,7 @@ def null_basis_partition(J: Array, pivots: Sequence[int]) -> Array:
 
 
 def null_basis_orthonormal(J: Array) -> Array:
-    """Null-space basis with orthonormal columns, (n, r), from the QR factors of J^T. Never singular while J has rank."""
+    """Null-space basis with orthonormal columns, (n, r), from the QR factors of J^T: well made while J has rank."""
     m = J.shape[0]
     Q: Array = np.linalg.qr(J.T, mode="complete")[0]
     return Q[:, m:]
@@ -110,7 +110,10 @@ def null_damping(Z: Array, D: Array) -> Array:
 def null_acceleration(
     Lambda_nu_inv: Array, mu_nu: Array, B_nu: Array, nu: Array, Z: Array, K: Array, q_err: Array
 ) -> Array:
-    """Commanded null-space acceleration, (r,): nud_c = -Lambda_nu^-1 ((mu_nu + B_nu) nu - Z^T K q_err). Paper eq. 11."""
+    """Commanded null-space acceleration, (r,). Paper eq. 11:
+
+    nud_c = -Lambda_nu^-1 ((mu_nu + B_nu) nu - Z^T K q_err)
+    """
     return -Lambda_nu_inv @ ((mu_nu + B_nu) @ nu - Z.T @ (K * q_err))
 
 
