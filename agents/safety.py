@@ -57,9 +57,12 @@ class SafeController:
         """The law's effort within the arm's torque limits.
 
         Raises:
-            ControllerError: the law returned something of the wrong shape or not finite.
+            ControllerError: the law raised, or returned something of the wrong shape or not finite.
         """
-        effort = self._controller.step(sensed, dt_s)
+        try:
+            effort = self._controller.step(sensed, dt_s)
+        except Exception as error:  # a user's code may raise anything; the cause goes to the log with its traceback
+            raise ControllerError(f"controller {self._name} failed: {type(error).__name__}: {error}") from error
         for what, values, size in (
             ("torque", effort.torque, self._joints),
             ("base_force", effort.base_force, 3),

@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 import tomllib
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -316,6 +317,8 @@ def main() -> None:
         status = _status_of(error)
         if status is None:
             raise
+        if error.__cause__ is not None:  # a user's code raised: its author needs to see where
+            traceback.print_exception(error.__cause__)
         _exit(str(error), status)
 
 

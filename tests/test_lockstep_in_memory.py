@@ -490,6 +490,8 @@ def test_an_instance_that_was_thought_dead_cannot_drive_the_arm_of_the_new_one()
     assert bench.commands("a1") == [tick + 0.5 for tick in range(LOST_AFTER, LOST_AFTER + 3)]
     assert bench.refused("a1") == {Reason.LEASE: 3}
     assert len(new.seen) == 3
+    assert old.ended.startswith("lost: ")  # and it was told
+    assert not new.ended
 
 
 def test_a_second_instance_is_refused_and_does_not_disturb_the_first() -> None:

@@ -35,7 +35,7 @@ def find_controller(name: str) -> ControllerFactory:
     except ImportError as error:
         raise ControllerError(
             f"controller {name!r}: module {module_name!r} cannot be imported ({error}); it must be on PYTHONPATH"
-        ) from error
+        ) from None
     if not callable(found):
         raise ControllerError(f"controller {name!r}: module {module_name!r} has no class {class_name!r}")
     return cast(ControllerFactory, found)
@@ -57,6 +57,12 @@ def make_controller(name: str, arm: ArmModel, gains: Mapping[str, object]) -> Co
         raise ControllerError(
             f"controller {name}: gain {key}: {first['msg']}; got {first['input']!r}"
             + (f"; known gains: {known}" if known else "")
-        ) from error
+        ) from None
+    except ControllerError:
+        raise
     except TypeError as error:
         raise ControllerError(f"controller {name}: {error}; got gains {dict(gains)!r}") from error
+    except Exception as error:  # a user's code may raise anything; the cause goes to the log with its traceback
+        raise ControllerError(
+            f"controller {name} cannot be made: {type(error).__name__}: {error}; got gains {dict(gains)!r}"
+        ) from error
