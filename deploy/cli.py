@@ -117,7 +117,7 @@ def _conclude(console: Console, folder: Path, status: int, problem: str) -> None
         picture = _draw(folder)
         console.print(f"run folder: {folder}" + (f" (picture: {picture.name})" if picture else ""), soft_wrap=True)
     else:
-        console.print(f"nothing was recorded; logs: {folder / 'logs'}", soft_wrap=True)
+        console.print(f"no metrics: the run did not end in order; run folder: {folder}", soft_wrap=True)
     if problem:
         _fail(problem, status if status in (BAD_INPUT, COULD_NOT_RUN) else COULD_NOT_RUN)
     raise typer.Exit(status)

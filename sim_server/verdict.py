@@ -42,10 +42,11 @@ def _judge_one(metric: str, value: object, bound: Bound) -> Judged:
 
 
 def overall(judged: tuple[Judged, ...], completed: bool) -> Verdict:
-    """The run's verdict: violated if any bound is; unknown if any is, or if the run did not reach its end."""
+    """The run's verdict: unknown if it did not reach its end (a goal not reached yet is not a goal missed), else
+    violated if any bound is, else unknown if any is."""
     verdicts = {row.verdict for row in judged}
+    if not completed:
+        return "unknown"
     if "violated" in verdicts:
         return "violated"
-    if "unknown" in verdicts or not completed:
-        return "unknown"
-    return "holds"
+    return "unknown" if "unknown" in verdicts else "holds"

@@ -62,10 +62,10 @@ def rows_of(*verdicts: str) -> tuple[Judged, ...]:
         (("holds", "unknown"), True, "unknown"),
         (("unknown", "violated"), True, "violated"),
         (("violated", "holds"), True, "violated"),
-        (("violated",), False, "violated"),
+        (("violated",), False, "unknown"),  # a goal not reached yet is not a goal missed
     ],
 )
-def test_one_violation_decides_and_only_a_run_that_ended_holds(
+def test_only_a_run_that_ended_is_judged_and_then_one_violation_decides(
     verdicts: tuple[str, ...], completed: bool, verdict: str
 ) -> None:
     rows = rows_of(*verdicts)

@@ -61,7 +61,10 @@ def make_controller(name: str, arm: ArmModel, gains: Mapping[str, object]) -> Co
     except ControllerError:
         raise
     except TypeError as error:
-        raise ControllerError(f"controller {name}: {error}; got gains {dict(gains)!r}") from error
+        raised_inside = error.__traceback__ is not None and error.__traceback__.tb_next is not None
+        raise ControllerError(f"controller {name}: {error}; got gains {dict(gains)!r}") from (
+            error if raised_inside else None  # gains that the constructor does not take are no bug of its code
+        )
     except Exception as error:  # a user's code may raise anything; the cause goes to the log with its traceback
         raise ControllerError(
             f"controller {name} cannot be made: {type(error).__name__}: {error}; got gains {dict(gains)!r}"
