@@ -4,12 +4,24 @@ from __future__ import annotations
 
 
 class AgentError(Exception):
-    """Base of every error that the agents' side raises on purpose."""
+    """Base of every error that the agents' side raises on purpose.
+
+    Attributes:
+        exit_status: what a command line that ends with this error exits with (2 bad input, 3 could not run).
+    """
+
+    exit_status = 3
 
 
 class ControllerError(AgentError):
     """A controller is unknown, its settings are wrong, or what it returned cannot be used."""
 
+    exit_status = 2
+    caused_by_user_code = True
+    """The cause, if there is one, was raised by somebody's own controller."""
+
 
 class NotWelcome(AgentError):
     """The simulator refused to let this agent in."""
+
+    exit_status = 2

@@ -13,20 +13,17 @@ import logging
 import signal
 import sys
 import threading
-import tomllib
-import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
+from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import end_with_parent
-from wire.errors import LinkError, Refused
+from deploy.settings import scenario_changes, tables
 
-BAD_INPUT, COULD_NOT_RUN = 2, 3
-STATUS = {"holds": 0, "violated": 1, "unknown": 3}
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 HARD_EXIT_S = 20.0
 
@@ -73,7 +70,7 @@ def run(
     arguments = [scenario, *(["--seed", str(seed)] if seed is not None else [])]
     for setting in set_ or []:
         arguments += ["--set", setting]
-    named = load_scenario(scenario, _changes(seed, set_))
+    named = load_scenario(scenario, scenario_changes(seed, set_))
     team = named.scenario.team
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
     make_controller(team.controller, ArmModel(team.arm), team.gains)
@@ -90,7 +87,7 @@ def run(
     try:
         launcher.start()
         if launcher.sim.process.poll() is not None:
-            _fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
+            fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
         with open_client(endpoint) as link, progress_display(console) as show:
             try:
                 ended = launcher.watch(link, show)
@@ -119,7 +116,7 @@ def _conclude(console: Console, folder: Path, status: int, problem: str) -> None
     else:
         console.print(f"no metrics: the run did not end in order; run folder: {folder}", soft_wrap=True)
     if problem:
-        _fail(problem, status if status in (BAD_INPUT, COULD_NOT_RUN) else COULD_NOT_RUN)
+        fail(problem, status)
     raise typer.Exit(status)
 
 
@@ -151,7 +148,7 @@ def sim(
     from wire.zenoh_link import open_server
 
     _log_to_stderr()
-    named = load_scenario(scenario, _changes(seed, set_))
+    named = load_scenario(scenario, scenario_changes(seed, set_))
     check_world(named)
     name = run or _run_name(named.name)
     with open_server(listen) as link:
@@ -163,7 +160,7 @@ def sim(
         print(f"run {name} at {listen}, waiting for {', '.join(named.scenario.arms)}", flush=True)
         outcome = server.run()
     print(f"{outcome.verdict}: {outcome.why}; run folder: {folder.path}", flush=True)
-    raise typer.Exit(STATUS[outcome.verdict])
+    raise typer.Exit(OF_VERDICT[outcome.verdict])
 
 
 @app.command()
@@ -184,7 +181,7 @@ def follower(
 
     _log_to_stderr()
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
-    gains = _tables(set_ or [])
+    gains = tables(set_ or [])
     settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s)
     Keys(run).arm(arm)
     if with_parent:
@@ -246,33 +243,6 @@ def _run_name(name: str) -> str:
     return kept[:40] or "run"
 
 
-def _changes(seed: int | None, settings: list[str] | None) -> dict[str, Any]:
-    return _tables(settings or []) | ({"seed": seed} if seed is not None else {})
-
-
-def _tables(settings: list[str]) -> dict[str, Any]:
-    """``--set`` options as nested tables. Raises :class:`typer.BadParameter`."""
-    tables: dict[str, Any] = {}
-    for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not equals or not key.strip():
-            raise typer.BadParameter(f"--set {setting}: expected KEY=VALUE, such as load.mass_kg=30")
-        try:
-            parsed = tomllib.loads(f"{key} = {value}")
-        except tomllib.TOMLDecodeError as error:
-            raise typer.BadParameter(f"--set {setting}: the value is not TOML ({error}); text needs quotes") from None
-        _merge(tables, parsed)
-    return tables
-
-
-def _merge(tables: dict[str, Any], more: dict[str, Any]) -> None:
-    for key, value in more.items():
-        if isinstance(value, dict) and isinstance(tables.get(key), dict):
-            _merge(tables[key], value)
-        else:
-            tables[key] = value
-
-
 def _log_to_stderr() -> None:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
 
@@ -290,56 +260,10 @@ def _stop_or_exit(stop: Callable[[], None]) -> None:
     timer.start()
 
 
-def _fail(text: str, status: int) -> None:
-    print(f"palanquin: {text}", file=sys.stderr)
-    raise typer.Exit(status or COULD_NOT_RUN)
-
-
-EXTRAS = {"mujoco": "sim", "pyarrow": "sim", "pinocchio": "follower", "matplotlib": "view", "rerun": "view"}
-
-
 def main() -> None:
     """Entry point: every error that we raise on purpose becomes one sentence and an exit status."""
-    try:
+    with one_sentence():
         app()
-    except ModuleNotFoundError as error:
-        extra = EXTRAS.get((error.name or "").partition(".")[0])
-        if extra is None:
-            raise
-        _exit(f"{error.name} is not installed: expected the extra `{extra}`; pip install 'palanquin[{extra}]'", 3)
-    except (Refused, ValueError) as error:
-        if isinstance(error, Refused) or type(error).__name__ == "UnknownArm":
-            _exit(str(error), BAD_INPUT)
-        raise
-    except LinkError as error:
-        _exit(str(error), COULD_NOT_RUN)
-    except Exception as error:
-        status = _status_of(error)
-        if status is None:
-            raise
-        if error.__cause__ is not None:  # a user's code raised: its author needs to see where
-            traceback.print_exception(error.__cause__)
-        _exit(str(error), status)
-
-
-def _status_of(error: Exception) -> int | None:
-    """Exit status for an error of the agents or the simulator; None for a bug."""
-    families = {
-        "agents.errors": {"ControllerError": BAD_INPUT, "NotWelcome": BAD_INPUT, "AgentError": COULD_NOT_RUN},
-        "sim_server.errors": {"ScenarioError": BAD_INPUT, "SimError": BAD_INPUT},
-    }
-    for cls in type(error).__mro__:
-        if cls.__name__ == "NobodyCame":
-            return COULD_NOT_RUN
-        status = families.get(cls.__module__, {}).get(cls.__name__)
-        if status is not None:
-            return status
-    return None
-
-
-def _exit(text: str, status: int) -> None:
-    print(f"palanquin: {text}", file=sys.stderr)
-    sys.exit(status)
 
 
 if __name__ == "__main__":

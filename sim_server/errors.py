@@ -4,7 +4,13 @@ from __future__ import annotations
 
 
 class SimError(Exception):
-    """Base of every error that the simulation side raises on purpose."""
+    """Base of every error that the simulation side raises on purpose.
+
+    Attributes:
+        exit_status: what a command line that ends with this error exits with (2 bad input, 3 could not run).
+    """
+
+    exit_status = 2
 
 
 class ScenarioError(SimError):

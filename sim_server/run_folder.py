@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import os
-import platform
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TextIO
@@ -62,33 +59,6 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     part = path.with_suffix(".part")
     part.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     os.replace(part, path)
-
-
-def versions() -> dict[str, str | None]:
-    """Versions of what decides the numbers, and the commit when this is a checkout."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
-    for name in ("palanquin", "mujoco", "numpy", "eclipse-zenoh", "pyarrow"):
-        found[name] = importlib.metadata.version(name)
-    return found | {"commit": _commit()}
-
-
-def _commit() -> str | None:
-    """The checkout's commit, with ``+changes`` when files differ from it; None when this is no checkout."""
-    here = Path(__file__).parent
-    try:
-        commit = subprocess.run(
-            ["git", "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=5, check=True
-        ).stdout.strip()
-        changed = subprocess.run(
-            ["git", "-C", str(here), "status", "--porcelain", "--untracked-files=no"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
-        ).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return commit + ("+changes" if changed else "")
 
 
 def read_run(path: Path) -> dict[str, Any]:

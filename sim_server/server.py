@@ -18,7 +18,8 @@ from sim_server.lockstep import LockStep, Stopped
 from sim_server.metrics import tilt_deg
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import LEADER, Arrived, Reception, Terms
-from sim_server.run_folder import METRICS, RUN, RunFolder, compute_metrics, versions, write_json
+from sim_server.run_description import Ending, describe_run
+from sim_server.run_folder import METRICS, RUN, RunFolder, compute_metrics, write_json
 from sim_server.scenario_files import NamedScenario
 from sim_server.trace import TraceWriter
 from sim_server.verdict import Verdict
@@ -41,6 +42,8 @@ FAREWELL_S = 2.0
 
 class NobodyCame(SimError):
     """Not all agents greeted in time."""
+
+    exit_status = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,73 +174,16 @@ class Server:
         wall_s = time.monotonic() - self._start_wall
         self._report("ended", why=why)
         folder = self._folder.path
-        write_json(folder / RUN, self._description(completed, why, wall_s))
+        ending = Ending(completed, why, wall_s, self._started_at)
+        write_json(
+            folder / RUN,
+            describe_run(self._run_name, self._named, self._plant, self._reception, self._clock.timings, ending),
+        )
         if not self._plant.tick:
             return Outcome("unknown", completed, why)
         metrics, _ = compute_metrics(folder)
         write_json(folder / METRICS, metrics)
         return Outcome(metrics["verdict"], completed, why)
-
-    def _description(self, completed: bool, why: str, wall_s: float) -> dict[str, Any]:
-        scenario, world = self._scenario, self._world
-        agents = self._reception.agents
-        return {
-            "run": self._run_name,
-            "scenario_name": self._named.name,
-            "scenario_file": self._named.source,
-            "scenario": scenario.model_dump(mode="json"),
-            "seed": scenario.seed,
-            "clock": scenario.clock.mode,
-            "versions": versions(),
-            "started_at": self._started_at.isoformat(timespec="seconds"),
-            "ended": {"completed": completed, "why": why, "ticks": self._plant.tick},
-            "agents": {
-                name: {
-                    "pid": agent.hello.pid if agent.hello else None,
-                    "host": agent.hello.host if agent.hello else None,
-                    "phase": agent.link.phase,
-                    "lease": agent.link.lease,
-                    "missed_ticks": agent.link.missed,
-                    "refused": agent.link.refused,
-                }
-                for name, agent in agents.items()
-            },
-            "facts": {
-                "arms": list(scenario.arms),
-                "goal_m": list(scenario.leader.goal_m) if scenario.leader else None,
-                "load_mass_kg": world.load_mass,
-                "centre_of_mass_m": world.load_com.tolist(),
-                "grasps_m": {name: world.struts[ids.strut].p.tolist() for name, ids in world.arms.items()},
-                "torque_max_Nm": list(arm_limits(scenario.team.arm).torque_Nm),
-                "differences": {
-                    name: {
-                        "link_scale": ids.differences.link_scale.tolist(),
-                        "joint_damping_Nms_rad": ids.differences.joint_damping.tolist(),
-                        "joint_friction_Nm": ids.differences.joint_friction.tolist(),
-                    }
-                    for name, ids in world.arms.items()
-                },
-            },
-            "measured": self._measured(wall_s),
-        }
-
-    def _measured(self, wall_s: float) -> dict[str, Any]:
-        """What only the running system knows: wall times and refusals."""
-        timings = self._clock.timings
-        ticks = len(timings.record)
-        parts = {
-            name: np.array(getattr(timings, name)[:ticks], dtype=float) / 1e3
-            for name in ("send", "wait", "step", "record")
-        }
-        simulated_s = self._plant.time_s
-        return {
-            "real_time_factor": simulated_s / wall_s if wall_s > 0 else 0.0,
-            "wall_s": wall_s,
-            "tick_us": _spread(sum(parts.values(), np.zeros(ticks))),
-            "controller_us": _spread(np.array(timings.controller, dtype=float) / 1e3),
-            "tick_parts_us": {name: _spread(values) for name, values in parts.items()},
-            "refused_messages": self._reception.refused(),
-        }
 
     def _publish_progress(self, phase: Any, waiting_for: str) -> None:
         now = time.monotonic()
@@ -277,13 +223,6 @@ class Server:
                 if arrived.kind == "gone":
                     still_in.discard(arrived.name)
             time.sleep(0.005)
-
-
-def _spread(values: Any) -> dict[str, float]:
-    """Median and 99th percentile."""
-    if len(values) == 0:
-        return {"p50": 0.0, "p99": 0.0}
-    return {"p50": float(np.percentile(values, 50)), "p99": float(np.percentile(values, 99))}
 
 
 def default_folder(runs: Path, name: str) -> Path:

@@ -33,7 +33,11 @@ class Reason(StrEnum):
 
 
 class WireError(Exception):
-    """Base of everything that this package raises."""
+    """Base of everything that this package raises.
+
+    Those that are not our own misuse carry ``exit_status``: what a command line that ends with them exits with (2 bad
+    input, 3 could not run).
+    """
 
 
 class Refused(WireError):
@@ -44,6 +48,8 @@ class Refused(WireError):
         what: the field or thing at fault.
         got, expected: what came and what would have been right, as text.
     """
+
+    exit_status = 2
 
     def __init__(self, reason: Reason, what: str, got: object = "", expected: object = "", fix: str = "") -> None:
         self.reason, self.what, self.got, self.expected = reason, what, str(got), str(expected)
@@ -63,3 +69,5 @@ class MisuseError(WireError):
 
 class LinkError(WireError):
     """The link could not be opened or used: port in use, nobody there, bad address."""
+
+    exit_status = 3

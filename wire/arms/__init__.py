@@ -18,7 +18,10 @@ class UnknownArm(ValueError):
     Attributes:
         name: the name asked for.
         known: the names there are.
+        exit_status: what a command line that ends with this error exits with: bad input.
     """
+
+    exit_status = 2
 
     def __init__(self, name: str, known: tuple[str, ...]) -> None:
         self.name, self.known = name, known

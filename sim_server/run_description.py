@@ -1,0 +1,140 @@
+"""run.json: what ran, on which versions, who took part, how it ended, and what only the running system can measure."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import subprocess
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_server.lockstep import Timings
+from sim_server.mujoco_plant import MujocoPlant
+from sim_server.reception import Agent, Reception
+from sim_server.scenario_files import NamedScenario
+from sim_server.world import World
+from wire.arms.limits import arm_limits
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How and when a run ended."""
+
+    completed: bool
+    why: str
+    wall_s: float
+    """Wall time from the first tick to the last."""
+    started_at: datetime
+
+
+def describe_run(
+    run: str, named: NamedScenario, plant: MujocoPlant, reception: Reception, timings: Timings, ending: Ending
+) -> dict[str, Any]:
+    """The content of run.json."""
+    scenario = named.scenario
+    return {
+        "run": run,
+        "scenario_name": named.name,
+        "scenario_file": named.source,
+        "scenario": scenario.model_dump(mode="json"),
+        "seed": scenario.seed,
+        "clock": scenario.clock.mode,
+        "versions": versions(),
+        "started_at": ending.started_at.isoformat(timespec="seconds"),
+        "ended": {"completed": ending.completed, "why": ending.why, "ticks": plant.tick},
+        "agents": {name: _agent(agent) for name, agent in reception.agents.items()},
+        "facts": _facts(plant.world),
+        "measured": _measured(plant.time_s, timings, reception.refused(), ending.wall_s),
+    }
+
+
+def _agent(agent: Agent) -> dict[str, Any]:
+    return {
+        "pid": agent.hello.pid if agent.hello else None,
+        "host": agent.hello.host if agent.hello else None,
+        "phase": agent.link.phase,
+        "lease": agent.link.lease,
+        "missed_ticks": agent.link.missed,
+        "refused": agent.link.refused,
+    }
+
+
+def _facts(world: World) -> dict[str, Any]:
+    """What the metrics need besides the trace, and how the arms differ from their description."""
+    scenario = world.scenario
+    return {
+        "arms": list(scenario.arms),
+        "goal_m": list(scenario.leader.goal_m) if scenario.leader else None,
+        "load_mass_kg": world.load_mass,
+        "centre_of_mass_m": world.load_com.tolist(),
+        "grasps_m": {name: world.struts[ids.strut].p.tolist() for name, ids in world.arms.items()},
+        "torque_max_Nm": list(arm_limits(scenario.team.arm).torque_Nm),
+        "differences": {
+            name: {
+                "link_scale": ids.differences.link_scale.tolist(),
+                "joint_damping_Nms_rad": ids.differences.joint_damping.tolist(),
+                "joint_friction_Nm": ids.differences.joint_friction.tolist(),
+            }
+            for name, ids in world.arms.items()
+        },
+    }
+
+
+def _measured(simulated_s: float, timings: Timings, refused: int, wall_s: float) -> dict[str, Any]:
+    """What only the running system knows: wall times and refusals."""
+    ticks = len(timings.record)
+    parts = {
+        name: np.array(times[:ticks], dtype=float) / 1e3
+        for name, times in (
+            ("send", timings.send),
+            ("wait", timings.wait),
+            ("step", timings.step),
+            ("record", timings.record),
+        )
+    }
+    return {
+        "real_time_factor": simulated_s / wall_s if wall_s > 0 else 0.0,
+        "wall_s": wall_s,
+        "tick_us": _spread(sum(parts.values(), np.zeros(ticks))),
+        "controller_us": _spread(np.array(timings.controller, dtype=float) / 1e3),
+        "tick_parts_us": {name: _spread(values) for name, values in parts.items()},
+        "refused_messages": refused,
+    }
+
+
+def _spread(values: Any) -> dict[str, float]:
+    """Median and 99th percentile."""
+    if len(values) == 0:
+        return {"p50": 0.0, "p99": 0.0}
+    return {"p50": float(np.percentile(values, 50)), "p99": float(np.percentile(values, 99))}
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of what decides the numbers, and the commit when this is a checkout."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for name in ("palanquin", "mujoco", "numpy", "eclipse-zenoh", "pyarrow"):
+        found[name] = importlib.metadata.version(name)
+    return found | {"commit": _commit()}
+
+
+def _commit() -> str | None:
+    """The checkout's commit, with ``+changes`` when files differ from it; None when this is no checkout."""
+    here = Path(__file__).parent
+    try:
+        commit = subprocess.run(
+            ["git", "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=5, check=True
+        ).stdout.strip()
+        changed = subprocess.run(
+            ["git", "-C", str(here), "status", "--porcelain", "--untracked-files=no"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=True,
+        ).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return commit + ("+changes" if changed else "")
