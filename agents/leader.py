@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,12 @@ from wire.messages import Hello, LeaderForce, LeaderView
 
 log = logging.getLogger("palanquin.leader")
 Array = NDArray[np.float64]
+
+
+class LeaderSettingsError(AgentError):
+    """The leader was told something that it cannot pull towards."""
+
+    exit_status = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +38,17 @@ class LeaderSettings:
     point: str = "front"
     """Name of the point of the load that is pulled."""
     join_timeout_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        for what, value in (
+            ("goal", self.goal_m[0]),
+            ("goal", self.goal_m[1]),
+            ("force bound", self.force_max_N),
+            ("stiffness", self.stiffness_N_m),
+            ("damping", self.damping_Ns_m),
+        ):
+            if not math.isfinite(value):
+                raise LeaderSettingsError(f"leader: {what}: got {value}, expected a finite number")
 
 
 def bounded_pull(goal_error: Array, velocity: Array, stiffness: float, damping: float, force_max: float) -> Array:
@@ -94,6 +112,7 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
             f"leader: the load has no point {settings.point!r}; expected one of {', '.join(sorted(welcome.points))}"
         )
     point_O = np.array(welcome.points[settings.point])
+    settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
     log.info("leader: joined, pulling %s towards %s", settings.point, settings.goal_m)
     try:
         while True:

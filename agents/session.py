@@ -25,6 +25,10 @@ class SimulatorGone(AgentError):
     """The simulator's sign of life is gone."""
 
 
+class LostByTheSimulator(AgentError):
+    """The simulator counts this agent as lost: start it again to go on."""
+
+
 class RunEnded(Exception):
     """The simulator said that the run, or this agent's part in it, is over. Not an error."""
 
@@ -88,6 +92,7 @@ class AgentSession:
         Raises:
             RunEnded: the simulator said so.
             SimulatorGone: its sign of life is gone.
+            LostByTheSimulator: this agent was too late too often.
         """
         try:
             payload = self._inbox.get(timeout=timeout_s)
@@ -101,6 +106,8 @@ class AgentSession:
             self.refuse(refusal)
             return None
         if isinstance(message, End):
+            if message.kind == "lost":
+                raise LostByTheSimulator(f"{self._hello.name}: the simulator gave this agent up: {message.reason}")
             raise RunEnded(message.reason)
         if isinstance(message, State | LeaderView):
             return message

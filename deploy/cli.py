@@ -61,28 +61,26 @@ def run(
     from agents.arm_model import ArmModel
     from agents.controllers import make_controller
     from deploy.launcher import Interrupted, Launcher, raise_on_signals
-    from deploy.report import progress_display
-    from sim_server.run_folder import RUN, RunFolderError
+    from deploy.report import PatientConsole, progress_display
     from sim_server.scenario_files import load_scenario
     from sim_server.server import check_world, default_folder
     from wire.zenoh_link import free_endpoint, open_client
 
-    arguments = [scenario, *(["--seed", str(seed)] if seed is not None else [])]
+    raise_on_signals()
+    arguments = ["--seed", str(seed)] if seed is not None else []
     for setting in set_ or []:
         arguments += ["--set", setting]
+    arguments += ["--", scenario]
     named = load_scenario(scenario, scenario_changes(seed, set_))
     team = named.scenario.team
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
     make_controller(team.controller, ArmModel(team.arm), team.gains)
     check_world(named)
     folder = (out or default_folder(Path("runs"), named.name)).absolute()
-    if (folder / RUN).exists():
-        raise RunFolderError(f"{folder} holds a run already: expected a new folder; choose another with --out")
-
-    console = Console()
-    raise_on_signals()
+    console = PatientConsole()
     endpoint = free_endpoint()
-    launcher = Launcher(arguments, named.scenario, _run_name(named.name), endpoint, folder)
+    # The run's name is told to the followers; a scenario's name may say what no follower may know.
+    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder)
     problem = ""
     try:
         launcher.start()
@@ -96,7 +94,7 @@ def run(
                 status, problem = ended.status, ended.problem
             except Interrupted as interrupted:
                 launcher.order_stop(link)
-                status, problem = COULD_NOT_RUN, f"stopped by {interrupted}"
+                status, problem = COULD_NOT_RUN, str(interrupted)
     finally:
         launcher.end_all()
     _conclude(console, folder, status, problem)

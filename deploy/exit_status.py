@@ -1,7 +1,8 @@
 """Exit statuses, and how an error becomes one sentence.
 
 0 the run holds, 1 it violates, 2 bad input, 3 it could not run or cannot be judged. Errors that are raised on purpose
-carry their ``exit_status``; what carries none is a bug and keeps its traceback.
+carry their ``exit_status``; what carries none is a bug: its traceback, and
+status 3 (Python's own would be 1, a verdict).
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ def one_sentence() -> Iterator[None]:
     except Exception as error:
         status = getattr(error, "exit_status", None)
         if not isinstance(status, int):
-            raise
+            traceback.print_exc()
+            _end("this is a bug of Palanquin; please report it with the lines above", COULD_NOT_RUN)
         if getattr(error, "caused_by_user_code", False) and error.__cause__ is not None:
             traceback.print_exception(error.__cause__)  # its author needs to see where
         _end(str(error), status)

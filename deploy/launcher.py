@@ -7,7 +7,9 @@ standard input that closes when the launcher dies, however it dies.
 from __future__ import annotations
 
 import os
+import queue
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
+from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario
 from wire.codec import decode, encode
-from wire.errors import Refused
 from wire.keys import Keys
 from wire.link import Link
 from wire.messages import Order, Progress
@@ -35,6 +37,11 @@ Show = Callable[[Progress], None]
 class Interrupted(Exception):
     """The user, or the system, asked the launcher to stop."""
 
+    exit_status = 3
+
+    def __init__(self, by: str) -> None:
+        super().__init__(f"stopped by {by}")
+
 
 @dataclass(slots=True)
 class Child:
@@ -45,7 +52,10 @@ class Child:
     log: Path
 
     def last_words(self) -> str:
-        """The last line of its log that says something."""
+        """The signal that ended it, or the last line of its log that says something."""
+        status = self.process.poll()
+        if status is not None and status < 0:
+            return f"ended by {signal.Signals(-status).name}; its log is {self.log}"
         lines = [line.strip() for line in self.log.read_text(encoding="utf-8", errors="replace").splitlines()]
         return next((line for line in reversed(lines) if line), "its log is empty")
 
@@ -75,15 +85,14 @@ class Launcher:
         self._scenario_arguments, self._scenario = scenario_arguments, scenario
         self._run, self._endpoint, self._folder = run, endpoint, folder
         self._children: list[Child] = []
+        self._logs = folder / LOGS
 
     def start(self) -> None:
         """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
-        (self._folder / "logs").mkdir(parents=True, exist_ok=True)
+        self._logs = claim_logs(self._folder)
         common = ["--run", self._run, "--with-parent"]
-        self._spawn(
-            "sim",
-            ["sim", *self._scenario_arguments, *common, "--listen", self._endpoint, "--out", str(self._folder)],
-        )
+        place = ["--listen", self._endpoint, "--out", str(self._folder)]
+        self._spawn("sim", ["sim", *common, *place, *self._scenario_arguments])
         self.wait_until_listening()
         agent = [*common, "--connect", self._endpoint]
         for arm in self._scenario.arms:
@@ -92,7 +101,7 @@ class Launcher:
             self._spawn("leader", ["leader", *leader_arguments(self._scenario), *agent])
 
     def _spawn(self, name: str, arguments: Sequence[str]) -> None:
-        log = self._folder / "logs" / f"{name}.log"
+        log = self._logs / f"{name}.log"
         with log.open("wb") as output:
             process = subprocess.Popen(
                 [sys.executable, "-m", "deploy.cli", *arguments],
@@ -106,8 +115,6 @@ class Launcher:
 
     def wait_until_listening(self) -> None:
         """Until the simulator's port is open, or the simulator has ended."""
-        import socket
-
         host, _, port = self._endpoint.partition("/")[2].rpartition(":")
         while self.sim.process.poll() is None:
             with socket.socket() as probe:
@@ -127,18 +134,13 @@ class Launcher:
             Interrupted: a signal asked for the end; :meth:`order_stop` comes next.
         """
         started = False
-
-        def on_progress(payload: bytes) -> None:
-            nonlocal started
-            try:
-                progress = decode(payload, Progress)
-            except Refused:
-                return
-            started = started or progress.phase == "running"
-            show(progress)
-
-        link.subscribe(Keys(self._run).progress, on_progress)
+        news: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        link.subscribe(Keys(self._run).progress, news.put)
         while self.sim.process.poll() is None:
+            while not news.empty():
+                progress = decode(news.get(), Progress)
+                started = started or progress.phase == "running"
+                show(progress)
             failed = None if started else self._failed_agent()
             if failed is not None:
                 time.sleep(2 * POLL_S)  # its log may still be on the way to the disk
@@ -147,10 +149,7 @@ class Launcher:
                 )
             time.sleep(POLL_S)
         status = self.sim.process.returncode
-        if status < 0:
-            killer = signal.Signals(-status).name
-            return Ended(status, f"the simulator was ended by {killer}; its log is {self.sim.log}")
-        return Ended(status, "" if status in (0, 1) else self.sim.last_words())
+        return Ended(status, "" if status in (0, 1) else f"the simulator: {self.sim.last_words()}")
 
     def _failed_agent(self) -> Child | None:
         return next((child for child in self._children[1:] if child.process.poll() not in (None, 0)), None)
@@ -227,12 +226,15 @@ def child_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def raise_on_signals() -> None:
-    """Turn Ctrl-C, SIGTERM and a closed terminal into :class:`Interrupted`, once; the next one acts as usual."""
+    """Turn Ctrl-C, SIGTERM and a closed terminal into :class:`Interrupted`: the first asks for an orderly end, the
+    second for an end at once; further ones do not disturb the cleaning up."""
+    came = 0
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        for again in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(again, signal.SIG_IGN if again == signal.SIGHUP else signal.default_int_handler)
-        raise Interrupted(signal.Signals(number).name)
+        nonlocal came
+        came += 1
+        if came <= 2:
+            raise Interrupted(signal.Signals(number).name)
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, interrupt)

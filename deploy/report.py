@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
+from deploy.exit_status import COULD_NOT_RUN
 from deploy.launcher import Show
 from sim_server.verdict import Judged
 from wire.messages import Progress
+
+
+class PatientConsole(Console):
+    """A console whose reader may go away (``| head``): the run ends, and not with the status of a verdict."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(COULD_NOT_RUN)
+
 
 VERDICT_STYLE = {"holds": "green", "violated": "bold red", "unknown": "yellow"}
 
@@ -72,10 +86,10 @@ def print_metrics(console: Console, metrics: Mapping[str, Any], judged: Sequence
     rows = {row.metric: row for row in judged}
     for name, row in rows.items():
         style = VERDICT_STYLE[row.verdict]
-        table.add_row(name, _text(metrics.get(name)), row.expected, f"[{style}]{row.verdict}[/]")
+        table.add_row(escape(name), _text(metrics.get(name)), row.expected, f"[{style}]{row.verdict}[/]")
     for name, value in metrics.items():
         if name not in rows and name not in ("verdict", "tick_parts_us") and value is not None:
-            table.add_row(name, _text(value), "", "", style="dim" if isinstance(value, dict) else "")
+            table.add_row(escape(name), _text(value), "", "", style="dim" if isinstance(value, dict) else "")
     console.print(table)
     verdict = metrics["verdict"]
     console.print(f"verdict: [{VERDICT_STYLE[verdict]}]{verdict}[/]")

@@ -13,6 +13,12 @@ class SimError(Exception):
     exit_status = 2
 
 
+class PlantFailed(SimError):
+    """The simulated physics left the range of sense: nothing after this moment means anything."""
+
+    exit_status = 3
+
+
 class ScenarioError(SimError):
     """A scenario file cannot be used. Carries the file and the key at fault.
 

@@ -47,7 +47,6 @@ class LockStep:
         plant: what moves.
         period_ns: simulated time of a tick.
         leader_every: the leader sees and pulls every so many ticks.
-        leader_force_max: N; a stronger pull is refused.
         answer_timeout_s: wall time to wait for an answer.
         report: where events go.
     """
@@ -59,13 +58,11 @@ class LockStep:
         *,
         period_ns: int,
         leader_every: int,
-        leader_force_max: float,
         answer_timeout_s: float,
         report: Report,
     ) -> None:
         self._reception, self._plant, self._report = reception, plant, report
         self._period_ns, self._leader_every = period_ns, leader_every
-        self._leader_force_max = leader_force_max
         self._answer_timeout_s = answer_timeout_s
         self._waiting: set[str] = set()
         self.timings = Timings()
@@ -168,16 +165,18 @@ class LockStep:
                 self.timings.controller.append(command.step_ns)
         except Refused as refusal:
             self._reception.refuse(name, refusal)
-        else:
+        if agent.link.open_tick is None:
             self._waiting.discard(name)
 
     def _pull(self, agent: Agent, force: LeaderForce) -> None:
+        agent.link.answer(force)  # in time it is, even if what it wants is refused: the pull before stays
         if force.point not in agent.terms.points:
             raise Refused(Reason.POINT, "point", force.point, ", ".join(sorted(agent.terms.points)))
-        size = float(np.linalg.norm(force.force))
-        if size > self._leader_force_max:
-            raise Refused(Reason.RANGE, "leader's force", f"{size:.3f} N", f"at most {self._leader_force_max:g} N")
-        agent.link.answer(force)
+        size, most = float(np.linalg.norm(force.force)), agent.terms.force_max_N
+        if size > most:
+            raise Refused(Reason.RANGE, "leader's force", f"{size:.3f} N", f"at most {most:g} N")
+        if force.force[2] != 0.0:
+            raise Refused(Reason.RANGE, "leader's force", f"{force.force[2]:.3f} N upwards", "a pull in the plane")
         self._plant.pull(force.point, np.array(force.force))
 
     def _obey(self, payload: bytes) -> None:
@@ -198,7 +197,7 @@ class LockStep:
         self._waiting.discard(name)
         self._report("lost", agent=name, why=why, then="stops pulling" if name == LEADER else "limp")
         # Should it still be there (it was stopped, or hung) it must not think that it is in.
-        self._reception.agents[name].publisher.put(encode(End(f"lost: {why}")))
+        self._reception.agents[name].publisher.put(encode(End("lost", why)))
         self._stop_driving(name)
 
     def _stop_driving(self, name: str) -> None:

@@ -6,11 +6,13 @@ Motor torques and base forces go into ``qfrc_applied``; the leader's pull into `
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NoReturn
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_server.errors import PlantFailed
 from sim_server.grips import grip_wrenches
 from sim_server.motor_drivers import MotorDrivers
 from sim_server.plant import LoadPose, Reading
@@ -65,6 +67,7 @@ class MujocoPlant:
         self._pull_point = np.zeros(3)
         self._pull_force = np.zeros(3)
         self.tick = 0
+        mujoco.set_mju_user_warning(_ignore)
         self._apply_efforts()
         mujoco.mj_forward(self._model, self._data)
 
@@ -139,7 +142,17 @@ class MujocoPlant:
             drivers.advance(self._dt_s, data.qfrc_bias[self._arm_dofs], data.qvel[self._arm_dofs])
             self._apply_efforts()
             mujoco.mj_step(self._model, data)
+        if data.warning.number.any():
+            self._fail()
         self.tick += 1
+
+    def _fail(self) -> NoReturn:
+        """Say which of MuJoCo's warnings came up: each is a number that is not finite, not sane, or not room enough."""
+        kinds = [mujoco.mjtWarning(k).name for k in np.flatnonzero(self._data.warning.number)]
+        raise PlantFailed(
+            f"the simulated physics failed at {self.time_s:g} s ({', '.join(kinds)}): the scenario's load, gains or "
+            "delays drive it out of range"
+        )
 
     def _apply_efforts(self) -> None:
         data, world, drivers = self._data, self.world, self._drivers
@@ -184,6 +197,11 @@ class MujocoPlant:
         )
         tick = self.tick - 1
         return [np.array([tick, tick * self._substeps * self._dt_s]), *load, self._pull_force, rows.ravel()]
+
+
+def _ignore(message: str) -> None:
+    """MuJoCo's warnings are counted in its data and looked at there; by itself it would also write a log file into
+    whatever folder the user is in."""
 
 
 def _indices(slices: list[slice]) -> NDArray[np.intp]:

@@ -18,6 +18,8 @@ from wire.link import Link, Publisher, Question
 from wire.messages import Goodbye, Hello, Refusal, Vector, Welcome
 
 LEADER = "leader"
+STRANGERS_KEPT = 100
+"""Kinds of strangers that are told apart; a flood of names must not fill the memory."""
 
 Kind = Literal["answer", "alive", "gone", "question", "order"]
 
@@ -39,6 +41,7 @@ class Terms:
     clock: Literal["lock-step", "real-time"]
     period_ns: int
     points: dict[str, Vector]
+    force_max_N: float
 
 
 @dataclass(slots=True)
@@ -74,7 +77,8 @@ class Reception:
         self._keys, self._report = keys, report
         self.inbox: queue.SimpleQueue[Arrived] = queue.SimpleQueue()
         self.agents: dict[str, Agent] = {}
-        self.strangers_refused = 0
+        self.strangers: dict[str, int] = {}
+        """Refusals of those who are nobody here, by run, name and reason."""
         for invitation, terms in invitations:
             name = invitation.name
             theirs = self._keys_of(name)
@@ -137,12 +141,13 @@ class Reception:
                 raise Refused(Reason.TYPE, "type", type(message).__name__, "hello or goodbye")
             lease = agent.link.greet(message)
         except Refused as refusal:
-            self.refuse(name, refusal)
+            run = question.key.split("/")[1]
+            self.refuse(name if run == self._keys.run else f"{run}/{name}", refusal)
             question.reply(encode(Refusal(refusal.reason, str(refusal))))
             return None
         agent.hello = message
         terms = agent.terms
-        question.reply(encode(Welcome(lease, terms.clock, terms.period_ns, terms.points)))
+        question.reply(encode(Welcome(lease, terms.clock, terms.period_ns, terms.points, terms.force_max_N)))
         return None
 
     @staticmethod
@@ -157,8 +162,11 @@ class Reception:
         """Count a refusal; report the first of each kind and agent."""
         agent = self.agents.get(name)
         if agent is None:
-            self.strangers_refused += 1
-            first = self.strangers_refused == 1
+            stranger = f"{name} {refusal.reason}"
+            if stranger not in self.strangers and len(self.strangers) >= STRANGERS_KEPT:
+                stranger = "others"
+            self.strangers[stranger] = self.strangers.get(stranger, 0) + 1
+            first = self.strangers[stranger] == 1
         else:
             agent.link.count_refusal(refusal.reason)
             first = agent.link.refused[refusal.reason] == 1
@@ -167,4 +175,4 @@ class Reception:
 
     def refused(self) -> int:
         """Number of messages refused so far."""
-        return self.strangers_refused + sum(sum(agent.link.refused.values()) for agent in self.agents.values())
+        return sum(self.strangers.values()) + sum(sum(agent.link.refused.values()) for agent in self.agents.values())

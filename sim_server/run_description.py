@@ -47,6 +47,7 @@ def describe_run(
         "started_at": ending.started_at.isoformat(timespec="seconds"),
         "ended": {"completed": ending.completed, "why": ending.why, "ticks": plant.tick},
         "agents": {name: _agent(agent) for name, agent in reception.agents.items()},
+        "strangers_refused": reception.strangers,
         "facts": _facts(plant.world),
         "measured": _measured(plant.time_s, timings, reception.refused(), ending.wall_s),
     }
@@ -116,25 +117,25 @@ def _spread(values: Any) -> dict[str, float]:
 def versions() -> dict[str, str | None]:
     """Versions of what decides the numbers, and the commit when this is a checkout."""
     found: dict[str, str | None] = {"python": platform.python_version()}
-    for name in ("palanquin", "mujoco", "numpy", "eclipse-zenoh", "pyarrow"):
-        found[name] = importlib.metadata.version(name)
+    for name in ("palanquin", "mujoco", "numpy", "eclipse-zenoh", "pyarrow", "pin"):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = None  # such as pin, on a machine that only simulates
     return found | {"commit": _commit()}
 
 
 def _commit() -> str | None:
     """The checkout's commit, with ``+changes`` when files differ from it; None when this is no checkout."""
-    here = Path(__file__).parent
+    here = Path(__file__)
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(here.parent), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+
     try:
-        commit = subprocess.run(
-            ["git", "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=5, check=True
-        ).stdout.strip()
-        changed = subprocess.run(
-            ["git", "-C", str(here), "status", "--porcelain", "--untracked-files=no"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
-        ).stdout.strip()
+        git("ls-files", "--error-unmatch", here.name)  # else this is somebody else's repository around our installation
+        commit, changed = git("rev-parse", "HEAD"), git("status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.SubprocessError):
         return None
     return commit + ("+changes" if changed else "")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -14,7 +16,7 @@ from sim_server.scenario import Bound
 from sim_server.trace import read_trace
 from sim_server.verdict import Judged, judge, overall
 
-RUN, METRICS, TRACE, EVENTS = "run.json", "metrics.json", "trace.parquet", "events.jsonl"
+RUN, METRICS, TRACE, EVENTS, LOGS = "run.json", "metrics.json", "trace.parquet", "events.jsonl", "logs"
 
 
 class RunFolderError(SimError):
@@ -30,15 +32,8 @@ class RunFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if (path / RUN).exists():
-            raise RunFolderError(f"{path} holds a run already: expected a new folder; choose another with --out")
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            self._events: TextIO = (path / EVENTS).open("w", encoding="utf-8")
-        except OSError as error:
-            raise RunFolderError(
-                f"cannot write to {path}: {error.strerror}; choose another folder with --out"
-            ) from None
+        with _claiming(path):
+            self._events: TextIO = (path / EVENTS).open("x", encoding="utf-8")
 
     @property
     def trace(self) -> Path:
@@ -52,6 +47,32 @@ class RunFolder:
 
     def close(self) -> None:
         self._events.close()
+
+
+def claim_logs(path: Path) -> Path:
+    """Make a run folder with its ``logs`` folder, which must not be there yet, and return that.
+
+    Raises:
+        RunFolderError: the folder holds a run already, or cannot be written.
+    """
+    with _claiming(path):
+        (path / LOGS).mkdir()
+    return path / LOGS
+
+
+@contextmanager
+def _claiming(path: Path) -> Iterator[None]:
+    """Make the folder; what the body creates exclusively there is the claim, so that two runs never share one."""
+    taken = f"{path} holds a run already: expected a new folder; choose another with --out"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if any((path / name).exists() for name in (RUN, METRICS, TRACE, EVENTS)):
+            raise RunFolderError(taken)
+        yield
+    except FileExistsError as error:
+        raise RunFolderError(taken if path.is_dir() else f"{path} is a file, not a folder ({error.strerror})") from None
+    except OSError as error:
+        raise RunFolderError(f"cannot write to {path}: {error.strerror}; choose another folder with --out") from None
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -101,10 +122,18 @@ def compute_metrics(path: Path) -> tuple[dict[str, Any], tuple[Judged, ...]]:
                 ),
             )
         )
-        metrics |= run["measured"]
-        completed = run["ended"]["completed"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunFolderError(f"{path}: no metrics can be computed: {type(error).__name__}: {error}") from None
+        metrics |= {name: value for name, value in run["measured"].items() if name not in metrics}
+        completed = bool(run["ended"]["completed"])
+    # An edited or cut-off folder can fail in any of these ways; each means the same.
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        problem = " ".join(str(error).split())
+        raise RunFolderError(f"{path}: no metrics can be computed: {type(error).__name__}: {problem}") from None
+    metrics = {name: None if _not_finite(value) else value for name, value in metrics.items()}
     judged = judge(metrics, expect)
     metrics["verdict"] = overall(judged, completed)
     return metrics, judged
+
+
+def _not_finite(value: object) -> bool:
+    """A number that a failed physics left behind: it says nothing and is no JSON."""
+    return isinstance(value, float) and not math.isfinite(value)

@@ -16,7 +16,9 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Vector2 = tuple[Finite, Finite]
-Vector3 = tuple[Finite, Finite, Finite]
+Mass = Annotated[float, Field(strict=True, ge=1e-3, le=1e4, allow_inf_nan=False)]
+Size = Annotated[float, Field(strict=True, ge=1e-2, le=100, allow_inf_nan=False)]
+Offset = Annotated[float, Field(strict=True, ge=-100, le=100, allow_inf_nan=False)]
 
 LoadPoint = Literal["centre", "front", "back", "left", "right"]
 
@@ -61,10 +63,10 @@ class Load(Section):
 
     shape: Literal["table", "crate"] = "table"
     """``table``: top, four legs, struts under the top. ``crate``: a closed box, struts around its waist."""
-    size_m: tuple[Positive, Positive, Positive] = (1.6, 0.9, 0.75)
+    size_m: tuple[Size, Size, Size] = (1.6, 0.9, 0.75)
     """Length along x, width along y, height along z."""
-    mass_kg: Positive = 20.0
-    centre_of_mass_offset_m: Vector3 = (0.0, 0.0, 0.0)
+    mass_kg: Mass = 20.0
+    centre_of_mass_offset_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
     """Shift of the centre of mass from where the shape puts it, in O."""
     struts: Annotated[int, Field(strict=True, ge=1, le=16)] = 4
     """Places to grasp, laid out evenly around the rim."""
@@ -86,7 +88,7 @@ class Leader(Section):
 class Base(Section):
     """The mobile base: planar, force-driven, pushed by whatever pushes the arm."""
 
-    mass_kg: Positive = 80.0
+    mass_kg: Mass = 80.0
     yaw_inertia_kg_m2: Positive = 5.0
     rolling_resistance_Ns_m: NotNegative = 600.0
     yaw_resistance_Nms_rad: NotNegative = 60.0

@@ -60,6 +60,7 @@ def tool_pose(arm: str, q: Array) -> Pose:
 def _scene(scenario: Scenario) -> Any:
     spec = mujoco.MjSpec()
     spec.modelname = "palanquin"
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # never back to the start behind our back
     spec.option.timestep = scenario.plant.physics_step_ms / 1000
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON

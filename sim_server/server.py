@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_server.errors import ScenarioError, SimError
+from sim_server.errors import PlantFailed, ScenarioError, SimError
 from sim_server.layout import LayoutError
 from sim_server.lockstep import LockStep, Stopped
 from sim_server.metrics import tilt_deg
@@ -79,7 +79,6 @@ class Server:
             self._plant,
             period_ns=self._scenario.clock.control_period_ms * 1_000_000,
             leader_every=leader.period_ms // self._scenario.clock.control_period_ms if leader else 1,
-            leader_force_max=leader.force_max_N if leader else 0.0,
             answer_timeout_s=self._scenario.clock.answer_timeout_s,
             report=self._report,
         )
@@ -95,12 +94,17 @@ class Server:
         for arm in scenario.arms:
             yield (
                 Invitation(self._run_name, "follower", arm, team.arm, digest, joints, team.missed_ticks_until_lost),
-                Terms(clock.mode, period_ns, {}),
+                Terms(clock.mode, period_ns, {}, 0.0),
             )
         if scenario.leader is not None:
             yield (
                 Invitation(self._run_name, "leader", LEADER, "", "", 0, team.missed_ticks_until_lost),
-                Terms(clock.mode, scenario.leader.period_ms * 1_000_000, dict(self._plant.points)),
+                Terms(
+                    clock.mode,
+                    scenario.leader.period_ms * 1_000_000,
+                    dict(self._plant.points),
+                    scenario.leader.force_max_N,
+                ),
             )
 
     def _report(self, kind: str, **details: object) -> None:
@@ -166,6 +170,8 @@ class Server:
                 clock.timings.record.append(time.perf_counter_ns() - stepped)
         except Stopped:
             return False, "stopped by the operator"
+        except PlantFailed as failure:
+            return False, str(failure)
         finally:
             trace.close()
         return True, "reached its duration"
@@ -214,7 +220,7 @@ class Server:
         agents, inbox = self._reception.agents, self._reception.inbox
         for agent in agents.values():
             if agent.is_in:
-                agent.publisher.put(encode(End(why)))
+                agent.publisher.put(encode(End("over", why)))
         still_in = {name for name, agent in agents.items() if agent.is_in}
         deadline = time.monotonic() + FAREWELL_S
         while still_in and time.monotonic() < deadline:
@@ -242,3 +248,5 @@ def check_world(named: NamedScenario) -> None:
     except LayoutError as error:
         file = Path(named.source).name
         raise ScenarioError(file, error.key, error.problem, expected=error.expected, fix=error.fix) from None
+    except ValueError as error:  # MuJoCo's, when it cannot make a model of these numbers
+        raise ScenarioError(Path(named.source).name, "", f"no world can be built from it: {error}") from None

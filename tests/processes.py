@@ -34,7 +34,7 @@ def wait_until(condition: Callable[[], object], what: str, deadline_s: float = P
 
 
 def run_to_end(
-    *arguments: str | Path, cwd: Path, environment: Mapping[str, str] | None = None
+    *arguments: str | Path, cwd: Path, environment: Mapping[str, str] | None = None, patience_s: float = PATIENCE_S
 ) -> subprocess.CompletedProcess[str]:
     """A ``palanquin`` command that ends by itself."""
     return subprocess.run(
@@ -44,7 +44,7 @@ def run_to_end(
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=patience_s,
         check=False,
         start_new_session=True,
     )

@@ -83,6 +83,7 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
         clock=st.sampled_from(["lock-step", "real-time"]),
         control_period_ns=integers,
         points=st.dictionaries(text(), vector(3), max_size=6),
+        force_max_N=finite,
     ),
     "refusal": st.builds(Refusal, reason=text(), text=text(1000)),
     "state": st.builds(
@@ -109,7 +110,7 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
     ),
     "leader_force": st.builds(LeaderForce, tick=integers, lease=integers, point=text(), force=vector(3)),
     "goodbye": st.builds(Goodbye, name=text(), lease=integers),
-    "end": st.builds(End, reason=text(1000)),
+    "end": st.builds(End, kind=st.sampled_from(["over", "lost"]), reason=text(1000)),
     "progress": st.builds(
         Progress,
         phase=st.sampled_from(["waiting", "running", "ended"]),
@@ -129,14 +130,14 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
 SEVEN = (0.0, -0.25, 0.5, -2.0, 1e-9, 1.5, 87.0)
 SAMPLES: dict[str, Message] = {
     "hello": Hello("follower", "transport", "a1", "panda", "0a" * 32, 4711, "bench-7"),
-    "welcome": Welcome(2, "lock-step", 1_000_000, {"front": (0.8, 0.0, 0.72), "centre": (0.0, 0.0, 0.4)}),
+    "welcome": Welcome(2, "lock-step", 1_000_000, {"front": (0.8, 0.0, 0.72), "centre": (0.0, 0.0, 0.4)}, 40.0),
     "refusal": Refusal("taken", "one instance at a time"),
     "state": State("a1", 12, 12_000_000, SEVEN, SEVEN, SEVEN, (1.0, 2.0, -30.5, 0.1, 0.2, 0.3)),
     "command": Command("a1", 12, 2, SEVEN, (4.0, -3.0, 0.5), SEVEN, 210_000),
     "leader_view": LeaderView(20, 20_000_000, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.2)),
     "leader_force": LeaderForce(20, 1, "front", (40.0, 0.0, 0.0)),
     "goodbye": Goodbye("a1", 2),
-    "end": End("the run is over"),
+    "end": End("over", "the run is over"),
     "progress": Progress("running", "", 100, 30_000, 0.1, 0.9, 1.25, -1.0),
     "order": Order("stop"),
 }

@@ -35,7 +35,7 @@ class PlayedSimulator:
         self.link = self.broker.link()
         self.answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         points: dict[str, Vector] = {"front": (0.8, 0.0, 0.7)}
-        welcome = Welcome(lease=3, clock=clock, control_period_ns=1_000_000, points=points)
+        welcome = Welcome(lease=3, clock=clock, control_period_ns=1_000_000, points=points, force_max_N=40.0)
         for keys in (KEYS.arm("a1"), KEYS.leader):
             self.link.subscribe(keys.command, self.answers.put)
             self.link.answer_queries(keys.hello, lambda question: self._answer(question, reply() if reply else welcome))
@@ -94,7 +94,7 @@ def test_a_follower_answers_each_state_with_its_tick_and_lease_until_the_end() -
         simulator.state.put(state(tick))
         command = simulator.command()
         assert (command.arm, command.tick, command.lease) == ("a1", tick, 3)
-    simulator.state.put(encode(End("enough")))
+    simulator.state.put(encode(End("over", "enough")))
     assert simulator.ended.get(timeout=DEADLINE_S) == "enough"
 
 

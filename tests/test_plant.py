@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sim_server.errors import PlantFailed
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario import Scenario
 from sim_server.scenario_files import load_scenario, shipped_names
@@ -390,3 +391,20 @@ def test_positions_and_forces_of_a_row_belong_to_the_same_instant() -> None:
     # Grips are forces at a step's start and the step is explicit in them; what differs is the centre of mass swinging
     # round O within one step, of order omega^2 r m = 1e-2 N, and the integrator's implicit damping (none on the load).
     np.testing.assert_allclose(np.array(force)[:-1], change, rtol=0, atol=0.05)
+
+
+# Physics that blows up
+
+
+def step_often(plant: MujocoPlant, ticks: int) -> None:
+    for _ in range(ticks):
+        plant.step()
+
+
+def test_physics_out_of_range_says_so_and_does_not_go_back_to_the_start() -> None:
+    plant = plant_of(scenario())
+    plant.pull("front", np.array([1e14, 0.0, 0.0]))
+    with pytest.raises(PlantFailed, match=r"the simulated physics failed at .* s \(mjWARN_"):
+        step_often(plant, 100)
+    position = plant.load_pose().position
+    assert not np.allclose(position[:2], 0.0, atol=1e-6), "MuJoCo's own reset would have put it back to where it began"

@@ -188,10 +188,10 @@ def test_the_limits_are_those_of_the_codec() -> None:
     ((entries, reason),) = [(int(value), code(reason)[0]) for what, value, reason in table if not code(what)]
     points: dict[str, Vector] = {str(k): (0.0, 0.0, 0.0) for k in range(entries + 1)}
     with pytest.raises(Refused) as refused:
-        decode_any(encode(Welcome(1, "lock-step", 1, points)))
+        decode_any(encode(Welcome(1, "lock-step", 1, points, 0.0)))
     assert refused.value.reason == reason
     del points["0"]
-    decode_any(encode(Welcome(1, "lock-step", 1, points)))
+    decode_any(encode(Welcome(1, "lock-step", 1, points, 0.0)))
 
 
 def test_the_keys_are_those_of_the_code() -> None:
@@ -303,7 +303,7 @@ def test_a_follower_written_from_this_page_alone_is_let_in_and_obeyed() -> None:
     life: list[str] = []
     events: list[str] = []
     with zenoh_link.open_server(endpoint) as link:
-        terms = Terms("lock-step", 1_000_000, {})
+        terms = Terms("lock-step", 1_000_000, {}, 0.0)
         reception = Reception(link, Keys("transport"), [(invitation, terms)], lambda kind, **_: events.append(kind))
         agent = reception.agents["a1"]
         thread = Thread(target=follower_from_the_page, args=(endpoint, values, life), daemon=True)
@@ -319,7 +319,7 @@ def test_a_follower_written_from_this_page_alone_is_let_in_and_obeyed() -> None:
         agent.link.state_sent(state.tick)
         agent.publisher.put(encode(state))
         agent.link.answer(decode(reception.inbox.get(timeout=PATIENCE_S).payload, Command))
-        agent.publisher.put(encode(End("the run is over")))
+        agent.publisher.put(encode(End("over", "the run is over")))
         assert reception.inbox.get(timeout=PATIENCE_S).kind == "gone"
         thread.join(PATIENCE_S)
     assert life == ["welcome", "state", "end"]

@@ -128,6 +128,7 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
             "clock": _one_of("lock-step", "real-time"),
             "control_period_ns": _integer,
             "points": _points,
+            "force_max_N": _number,
         },
     ),
     "refusal": (Refusal, {"reason": _text(40), "text": _text(1000)}),
@@ -168,7 +169,7 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
     ),
     "leader_force": (LeaderForce, {"tick": _integer, "lease": _integer, "point": _text(40), "force": _three}),
     "goodbye": (Goodbye, {"name": _text(40), "lease": _integer}),
-    "end": (End, {"reason": _text(1000)}),
+    "end": (End, {"kind": _one_of("over", "lost"), "reason": _text(1000)}),
     "progress": (
         Progress,
         {

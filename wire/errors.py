@@ -29,7 +29,6 @@ class Reason(StrEnum):
     FUTURE = "future"
     DUPLICATE = "duplicate"
     POINT = "point"
-    ENDED = "ended"
 
 
 class WireError(Exception):

@@ -38,6 +38,8 @@ class Welcome:
     """Simulated time from one of this agent's messages to the next."""
     points: dict[str, Vector]
     """Leader only: named points of the load, (3,) m, in the load's frame O. Empty for followers."""
+    force_max_N: float
+    """Leader only: the largest pull that is not refused. Zero for followers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +125,8 @@ class Goodbye:
 class End:
     """The run is over, or this agent's part in it (on the agent's ``state`` key)."""
 
+    kind: Literal["over", "lost"]
+    """``over``: nothing went wrong with this agent. ``lost``: it did not answer in time and is out."""
     reason: str
 
 

@@ -49,7 +49,7 @@ def make_controller(name: str, arm: ArmModel, gains: Mapping[str, object]) -> Co
     """
     factory = find_controller(name)
     try:
-        return factory(arm, **gains)
+        controller = factory(arm, **gains)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "gains"
@@ -69,3 +69,6 @@ def make_controller(name: str, arm: ArmModel, gains: Mapping[str, object]) -> Co
         raise ControllerError(
             f"controller {name} cannot be made: {type(error).__name__}: {error}; got gains {dict(gains)!r}"
         ) from error
+    if not callable(getattr(controller, "step", None)):
+        raise ControllerError(f"controller {name}: got a {type(controller).__name__}, which has no method `step`")
+    return controller

@@ -1,0 +1,112 @@
+"""The claim itself: the paper's law carries the table to the goal, and adaptive stiffness does it better.
+
+``transport`` runs whole through the real processes. What is compared in numbers runs in one process, on the same plant,
+law and leader; that this gives the same numbers as the processes is seen from the two carries' equality.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from processes import run_to_end
+
+from agents.arm_model import ArmModel
+from agents.controllers import make_controller
+from agents.controllers.interface import Sensed
+from agents.leader import LeaderSettings, pull
+from agents.safety import SafeController
+from sim_server.metrics import TraceFacts, physical_metrics
+from sim_server.mujoco_plant import MujocoPlant
+from sim_server.scenario_files import load_scenario
+from sim_server.trace import TraceWriter, read_trace
+from sim_server.world import build_world
+from wire.arms.limits import arm_limits
+from wire.messages import LeaderView
+
+
+def carried(name: str, tmp_path: Path, changes: dict[str, Any]) -> dict[str, Any]:
+    """Metrics of a scenario carried in this process, without a wire."""
+    scenario = load_scenario(name, changes).scenario
+    world = build_world(scenario)
+    plant, arm, limits = MujocoPlant(world), ArmModel(scenario.team.arm), arm_limits(scenario.team.arm)
+    laws = {
+        each: SafeController(
+            "law", make_controller(scenario.team.controller, arm, scenario.team.gains), arm, scenario.team.handover_s
+        )
+        for each in scenario.arms
+    }
+    leader = scenario.leader
+    trace = TraceWriter(tmp_path / f"{name}.parquet", scenario.arms, limits.joints)
+    for tick in range(scenario.ticks):
+        readings = plant.read()
+        if leader is not None and tick % leader.period_ms == 0:
+            pose = plant.load_pose()
+            view = LeaderView(
+                tick,
+                0,
+                tuple(pose.position.tolist()),
+                tuple(pose.quat_wxyz.tolist()),
+                tuple(pose.linear_velocity.tolist()),
+                tuple(pose.angular_velocity.tolist()),
+            )
+            told = LeaderSettings(
+                "", leader.goal_m, leader.force_max_N, leader.stiffness_N_m, leader.damping_Ns_m, leader.point
+            )
+            plant.pull(leader.point, pull(view, np.array(plant.points[leader.point]), told))
+        for each, law in laws.items():
+            reading = readings[each]
+            effort = law.step(Sensed(reading.q, reading.qd, reading.tau, reading.wrench), 1e-3)
+            plant.command(each, effort.torque, effort.base_force, effort.stiffness)
+        before = plant.state_row() if tick % scenario.record.every_ticks == 0 else None
+        plant.step()
+        if before is not None:
+            trace.append(plant.force_row(before))
+    trace.close()
+    facts = TraceFacts(
+        scenario.arms,
+        leader.goal_m if leader else None,
+        world.load_mass,
+        (float(world.load_com[0]), float(world.load_com[1]), float(world.load_com[2])),
+        {each: world.struts[ids.strut].p.tolist() for each, ids in world.arms.items()},
+        limits.torque_Nm,
+    )
+    return physical_metrics(read_trace(tmp_path / f"{name}.parquet"), facts)
+
+
+@pytest.mark.system
+@pytest.mark.timeout(400)  # 20 simulated seconds, at a third of real time on two busy cores and less on worse
+def test_four_silent_processes_carry_the_table_to_the_goal(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    done = run_to_end("run", "transport", "--out", out, cwd=tmp_path, patience_s=380)
+    assert done.returncode == 0, done.stdout + done.stderr
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["verdict"] == "holds"
+    # The issue's own bounds, not what was measured: they must hold whatever else changes.
+    assert metrics["goal_error_m"] <= 0.10
+    assert metrics["end_speed_mm_s"] <= 5.0  # standing still: it would take minutes to leave the goal's 0.10 m
+    assert metrics["tilt_max_deg"] <= 0.5
+    assert metrics["sag_max_mm"] <= 12.0
+    assert metrics["leader_force_max_N"] <= 40.0
+
+
+@pytest.mark.timeout(300)
+def test_adaptive_stiffness_sags_and_tilts_clearly_less_than_fixed(tmp_path: Path) -> None:
+    span = {"duration_s": 6.0}  # the pull, the fastest part of the carry, and the start of braking
+    adaptive = carried("transport", tmp_path, span)
+    fixed = carried("transport-fixed-stiffness", tmp_path, span)
+    # Seen: sag 7.9 and 13.8 mm, rms tilt 0.09 and 0.17 deg. "Clearly" is taken as a fifth less.
+    assert adaptive["sag_max_mm"] < 0.8 * fixed["sag_max_mm"]
+    assert adaptive["tilt_rms_deg"] < 0.8 * fixed["tilt_rms_deg"]
+
+
+@pytest.mark.timeout(300)
+def test_a_table_that_nobody_leads_is_held_and_hardly_drifts(tmp_path: Path) -> None:
+    metrics = carried("hold", tmp_path, {"duration_s": 5.0})
+    assert metrics["sag_max_mm"] <= 12.0
+    assert metrics["tilt_max_deg"] <= 0.5
+    # Trap: with alpha = 1 in the law a sagging table runs away by metres. Seen: 3 mm/min; a hundred would be a runaway.
+    assert metrics["drift_mm_per_min"] < 30.0
