@@ -21,7 +21,7 @@ import typer
 from rich.console import Console
 
 from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
-from deploy.guard import end_with_parent
+from deploy.guard import Interrupted, end_with_parent, raise_on_signals
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -60,13 +60,12 @@ def run(
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from agents.arm_model import ArmModel
     from agents.controllers import make_controller
-    from deploy.launcher import Interrupted, Launcher, raise_on_signals
+    from deploy.launcher import Launcher
     from deploy.report import PatientConsole, progress_display
     from sim_server.scenario_files import load_scenario
     from sim_server.server import check_world, default_folder
     from wire.zenoh_link import free_endpoint, open_client
 
-    raise_on_signals()
     arguments = ["--seed", str(seed)] if seed is not None else []
     for setting in set_ or []:
         arguments += ["--set", setting]
@@ -184,7 +183,7 @@ def follower(
     Keys(run).arm(arm)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    _leave_on_signals()
     with open_client(connect) as link:
         print(f"{arm}: {run_follower(link, settings)}")
 
@@ -210,7 +209,7 @@ def leader(
     settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    _leave_on_signals()
     with open_client(connect) as link:
         print(f"leader: {run_leader(link, settings)}")
 
@@ -250,6 +249,12 @@ def _stop_on_signals(stop: Callable[[], None]) -> None:
         signal.signal(number, lambda *_: stop())
 
 
+def _leave_on_signals() -> None:
+    """Let an agent that is told to go say goodbye: it takes KeyboardInterrupt for that."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+
+
 def _stop_or_exit(stop: Callable[[], None]) -> None:
     """Stop in order; if that does not work, stop."""
     stop()
@@ -261,6 +266,7 @@ def _stop_or_exit(stop: Callable[[], None]) -> None:
 def main() -> None:
     """Entry point: every error that we raise on purpose becomes one sentence and an exit status."""
     with one_sentence():
+        raise_on_signals()
         app()
 
 

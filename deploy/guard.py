@@ -1,4 +1,4 @@
-"""No orphans: a process that was started by another ends when that other ends, however it ends."""
+"""No orphans: a process that was started by another ends when that other ends, and signals end things in order."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from types import FrameType
 
 _PR_SET_PDEATHSIG = 1
 
@@ -32,3 +33,27 @@ def end_with_parent(on_end: Callable[[], None], *, even_if_stopped: bool) -> Non
         if os.getppid() != parent:  # it died before the kernel knew
             os._exit(1)
     threading.Thread(target=watch, name="end with parent", daemon=True).start()
+
+
+class Interrupted(Exception):
+    """The user, or the system, asked the launcher to stop."""
+
+    exit_status = 3
+
+    def __init__(self, by: str) -> None:
+        super().__init__(f"stopped by {by}")
+
+
+def raise_on_signals() -> None:
+    """Turn Ctrl-C, SIGTERM and a closed terminal into :class:`Interrupted`: the first asks for an orderly end, the
+    second for an end at once; further ones do not disturb the cleaning up."""
+    came = 0
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        came += 1
+        if came <= 2:
+            raise Interrupted(signal.Signals(number).name)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)

@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario
@@ -32,15 +31,6 @@ TERM_S = 3.0
 """Time that a process gets between the polite signal and the last one."""
 
 Show = Callable[[Progress], None]
-
-
-class Interrupted(Exception):
-    """The user, or the system, asked the launcher to stop."""
-
-    exit_status = 3
-
-    def __init__(self, by: str) -> None:
-        super().__init__(f"stopped by {by}")
 
 
 @dataclass(slots=True)
@@ -223,18 +213,3 @@ def toml_value(value: object) -> str:
 def child_environment(environment: Mapping[str, str]) -> dict[str, str]:
     """One thread per process: the matrices are small, and more threads only disturb each other."""
     return {**environment, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
-
-
-def raise_on_signals() -> None:
-    """Turn Ctrl-C, SIGTERM and a closed terminal into :class:`Interrupted`: the first asks for an orderly end, the
-    second for an end at once; further ones do not disturb the cleaning up."""
-    came = 0
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal came
-        came += 1
-        if came <= 2:
-            raise Interrupted(signal.Signals(number).name)
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, interrupt)

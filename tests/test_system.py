@@ -249,7 +249,7 @@ def test_when_the_simulator_is_killed_the_launcher_says_so_and_leaves_nobody(tmp
         run.signal("sim", signal.SIGKILL)
         assert run.command.end() == 3
         (line,) = run.command.errors.read_text().splitlines()
-        assert line.startswith("palanquin: the simulator was ended by SIGKILL")
+        assert line.startswith("palanquin: the simulator: ended by SIGKILL")
         assert str(run.folder / "logs" / "sim.log") in line
         run.wait_until_nobody_is_left()
 
