@@ -60,6 +60,7 @@ def test_fixed_stiffness_is_the_same_carry_but_for_the_stiffness() -> None:
     for each in (adaptive, fixed):
         del each["description"]
         del each["team"]["gains"]
+        del each["expect"]["sag_max_mm"]  # the one thing that is expected to differ
     assert adaptive == fixed
 
 
