@@ -5,6 +5,7 @@ The description (wire/arms) is the agent's own copy of the data sheet; the simul
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,6 +87,19 @@ class ArmModel:
             p_BE=placement.translation.copy(),
             R_BE=placement.rotation.copy(),
         )
+
+    def fill(self, q: Array, qd: Array, terms: Mapping[str, Array]) -> None:
+        """Write what a torque law needs of :meth:`snapshot` into ``terms``: the arrays C, g, M_inv, J, Jdot, p_BE and
+        R_BE of the same shapes. Of the symmetric M_inv only the upper triangle. Half the cost: nothing is allocated."""
+        model, data, tcp = self._model, self._data, self._tcp
+        terms["C"][:] = pin.computeCoriolisMatrix(model, data, q, qd)
+        terms["g"][:] = pin.computeGeneralizedGravity(model, data, q)
+        terms["M_inv"][:] = pin.computeMinverse(model, data, q)
+        placement = pin.updateFramePlacement(model, data, tcp)
+        terms["J"][:] = pin.getFrameJacobian(model, data, tcp, pin.LOCAL_WORLD_ALIGNED)
+        terms["Jdot"][:] = pin.getFrameJacobianTimeVariation(model, data, tcp, pin.LOCAL_WORLD_ALIGNED)
+        terms["p_BE"][:] = placement.translation
+        terms["R_BE"][:] = placement.rotation
 
     def _symmetric(self, filled_above: Array) -> Array:
         """The symmetric matrix of which Pinocchio fills the upper triangle only; always a copy."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
-from agents.controllers.interface import Effort, Sensed
-from agents.safety import SafeController, hold_effort
+from agents.controllers.interface import Sensed
+from agents.safety import CheckedEffort, SafeController, hold_effort
 from agents.session import AgentSession, RunEnded, here
 from wire.errors import Reason, Refused
 from wire.keys import Keys
@@ -80,14 +80,14 @@ class Follower:
             return None
         return self._command(self._last.tick, lease, hold_effort(self.arm, np.array(self._last.q)), 0)
 
-    def _command(self, tick: int, lease: int, effort: Effort, step_ns: int) -> Command:
+    def _command(self, tick: int, lease: int, effort: CheckedEffort, step_ns: int) -> Command:
         return Command(
             arm=self.settings.arm,
             tick=tick,
             lease=lease,
-            torque=tuple(effort.torque.tolist()),
-            base_force=tuple(effort.base_force.tolist()),
-            stiffness=tuple(effort.stiffness.tolist()),
+            torque=effort.torque,
+            base_force=effort.base_force,
+            stiffness=effort.stiffness,
             step_ns=step_ns,
         )
 

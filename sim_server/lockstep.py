@@ -109,10 +109,10 @@ class LockStep:
                     name,
                     tick,
                     time_ns,
-                    tuple(reading.q.tolist()),
-                    tuple(reading.qd.tolist()),
-                    tuple(reading.tau.tolist()),
-                    tuple(reading.wrench.tolist()),
+                    reading.q,
+                    reading.qd,
+                    reading.tau,
+                    reading.wrench,
                 )
             agent.link.state_sent(tick)
             agent.publisher.put(encode(message))
@@ -159,9 +159,7 @@ class LockStep:
             else:
                 command = decode(payload, Command)
                 agent.link.answer(command)
-                self._plant.command(
-                    name, np.array(command.torque), np.array(command.base_force), np.array(command.stiffness)
-                )
+                self._plant.command(name, command.torque, command.base_force, command.stiffness)
                 self.timings.controller.append(command.step_ns)
         except Refused as refusal:
             self._reception.refuse(name, refusal)

@@ -7,6 +7,7 @@ row per arm, so that many arms cost little more than one.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,33 +32,45 @@ class MotorDrivers:
     def __init__(
         self, start_torque: Array, torque_max: Array, torque_rate_max: float, base_max: Array, delay_ticks: int = 0
     ) -> None:
-        arms = len(start_torque)
-        self._torque_max, self._rate_max, self._base_max = torque_max, torque_rate_max, base_max
+        arms, joints = start_torque.shape
+        self._rate_max = torque_rate_max
+        self._most = np.concatenate([torque_max, base_max])
         self.torque = start_torque.copy()
         """Torques applied now, (N, n) N m."""
-        self.base_force = np.zeros((arms, 3))
+        self._ages = [0] * arms
+        self._given = [False] * arms
+        self._limp = [False] * arms
+        # Commanded, aimed at, and within limits: rows of [torque, base force].
+        self._command = np.hstack([start_torque, np.zeros((arms, 3))])
+        self._target, self._limited = self._command.copy(), self._command.copy()
+        self._on_the_way = deque(self._command.copy() for _ in range(delay_ticks))
+        self._limited_torque = self._limited[:, :joints]
+        self.base_force = self._limited[:, joints:]
         """Base forces applied now, (N, 3), each in its base frame B."""
-        self.age_ticks = np.zeros(arms, dtype=int)
-        """Ticks since each arm's last command came, (N,)."""
-        self._given = np.zeros(arms, dtype=bool)
-        self._command, self._base_command = start_torque.copy(), np.zeros((arms, 3))
-        self._target, self._base_target = start_torque.copy(), np.zeros((arms, 3))
-        self._on_the_way = deque((start_torque.copy(), np.zeros((arms, 3))) for _ in range(delay_ticks))
-        self._limp = np.zeros((arms, 1), dtype=bool)
 
-    def command(self, arm: int, torque: Array, base_force: Array) -> None:
+    @property
+    def age_ticks(self) -> NDArray[np.int_]:
+        """Ticks since each arm's last command came, (N,)."""
+        return np.array(self._ages)
+
+    @property
+    def any_limp(self) -> bool:
+        """Whether :meth:`advance` needs to know the arms' gravity torques and velocities."""
+        return any(self._limp)
+
+    def command(self, arm: int, torque: Sequence[float] | Array, base_force: Sequence[float] | Array) -> None:
         """This tick's command of one arm: joint torque (n,) N m, base force (3,) in B."""
-        self._command[arm] = torque
-        self._base_command[arm] = base_force
+        self._command[arm] = (*torque, *base_force)
         self._given[arm] = True
 
     def tick(self) -> None:
         """Close a tick: what was commanded becomes the target, after the delay; an arm without a command keeps its
         last one."""
-        self.age_ticks = np.where(self._given, 0, self.age_ticks + 1)
-        self._given[:] = False
-        self._on_the_way.append((self._command.copy(), self._base_command.copy()))
-        self._target, self._base_target = self._on_the_way.popleft()
+        for arm, given in enumerate(self._given):
+            self._ages[arm] = 0 if given else self._ages[arm] + 1
+            self._given[arm] = False
+        self._on_the_way.append(self._command.copy())
+        self._target = self._on_the_way.popleft()
 
     def lose(self, arm: int) -> None:
         """The arm is lost: it is limp until somebody regains it."""
@@ -66,10 +79,10 @@ class MotorDrivers:
     def regain(self, arm: int) -> None:
         """Somebody drives the arm again: it obeys commands, starting from the torque applied now."""
         self._limp[arm] = False
-        for torque, base in [(self._command, self._base_command), *self._on_the_way]:
-            torque[arm], base[arm] = self.torque[arm], 0.0
+        for command in [self._command, *self._on_the_way]:
+            command[arm] = (*self.torque[arm], 0.0, 0.0, 0.0)
 
-    def advance(self, dt_s: float, gravity: Array, qd: Array) -> None:
+    def advance(self, dt_s: float, gravity: Array | None = None, qd: Array | None = None) -> None:
         """Move the applied torques towards their targets within the limits.
 
         Args:
@@ -77,9 +90,16 @@ class MotorDrivers:
             gravity: torques that hold the arms themselves up, (N, n) N m: the drivers' own knowledge, for limp arms.
             qd: joint velocities, (N, n) rad/s.
         """
-        target = np.where(self._limp, gravity - LIMP_DAMPING_NMS_RAD * qd, self._target)
-        limited = np.minimum(np.maximum(target, -self._torque_max), self._torque_max)
+        target, limited = self._target, self._limited
+        if gravity is not None and qd is not None and self.any_limp:
+            target = target.copy()
+            limp = np.flatnonzero(self._limp)
+            target[limp, :-3] = gravity[limp] - LIMP_DAMPING_NMS_RAD * qd[limp]
+            target[limp, -3:] = 0.0
+        np.maximum(target, -self._most, out=limited)
+        np.minimum(limited, self._most, out=limited)
         step = self._rate_max * dt_s
-        self.torque = self.torque + np.minimum(np.maximum(limited - self.torque, -step), step)
-        base = np.where(self._limp, 0.0, self._base_target)
-        self.base_force = np.minimum(np.maximum(base, -self._base_max), self._base_max)
+        change = self._limited_torque - self.torque
+        np.maximum(change, -step, out=change)
+        np.minimum(change, step, out=change)
+        self.torque += change

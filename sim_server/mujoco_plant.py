@@ -5,8 +5,8 @@ Motor torques and base forces go into ``qfrc_applied``; the leader's pull into `
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NoReturn
+from collections.abc import Mapping, Sequence
+from typing import Any, NoReturn
 
 import mujoco
 import numpy as np
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from sim_server.errors import PlantFailed
 from sim_server.grips import grip_wrenches
 from sim_server.motor_drivers import MotorDrivers
-from sim_server.plant import LoadPose, Reading
+from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.world import ArmIds, World
 from wire.arms.limits import arm_limits
+from wire.messages import Vector
 
 Array = NDArray[np.float64]
 
@@ -64,8 +65,10 @@ class MujocoPlant:
             noise.delay_ticks,
         )
         self._stiffness = np.zeros((len(arms), limits.joints))
-        self._pull_point = np.zeros(3)
+        self._pull_lever = np.zeros(3)
+        """From the load's centre of mass to the pulled point, (3,) m in O."""
         self._pull_force = np.zeros(3)
+        self._see(self._data)
         self.tick = 0
         mujoco.set_mju_user_warning(_ignore)
         self._apply_efforts()
@@ -79,6 +82,26 @@ class MujocoPlant:
         torque: Array = self._data.qfrc_bias[ids.arm_dof] + share * J[2, ids.arm_dof]
         return torque
 
+    def _see(self, data: Any) -> None:
+        """Keep views of MuJoCo's memory: asking for one costs more than what is done with it."""
+        load, arms, joints = self.world.load_body, *self._arm_dofs.shape
+        self._qpos, self._qvel, self._qfrc_bias = data.qpos, data.qvel, data.qfrc_bias
+        self._sensordata, self._qfrc_applied = data.sensordata, data.qfrc_applied
+        self._R_WO = data.xmat[load].reshape(3, 3)
+        self._load_force, self._load_torque = data.xfrc_applied[load, :3], data.xfrc_applied[load, 3:]
+        self._warnings = data.warning.number
+        # Where each number of a reading stands in [qpos, qvel, driver torques, sensordata].
+        qvel, torque = len(self._qpos), len(self._qpos) + len(self._qvel)
+        sensors = torque + arms * joints
+        self._read_at = np.hstack(
+            [
+                self._arm_qpos,
+                qvel + self._arm_dofs,
+                torque + np.arange(arms * joints).reshape(arms, joints),
+                sensors + self._sensors,
+            ]
+        )
+
     @property
     def time_s(self) -> float:
         """Simulated time of this tick."""
@@ -86,19 +109,18 @@ class MujocoPlant:
 
     def read(self) -> Mapping[str, Reading]:
         """Sensor readings of this tick. Call once per tick: the noise goes on."""
-        data, joints = self._data, self._arm_dofs.shape[1]
-        exact = np.hstack(
-            [data.qpos[self._arm_qpos], data.qvel[self._arm_dofs], self._drivers.torque, data.sensordata[self._sensors]]
-        )
-        noisy = exact + self._noise * self._rng.standard_normal(exact.shape)
+        joints = self._arm_dofs.shape[1]
+        everything = np.concatenate([self._qpos, self._qvel, self._drivers.torque.ravel(), self._sensordata])
+        exact = everything[self._read_at]
+        noisy = (exact + self._noise * self._rng.standard_normal(exact.shape)).tolist()
         return {
             name: Reading(
-                q=noisy[row, :joints],
-                qd=noisy[row, joints : 2 * joints],
-                tau=noisy[row, 2 * joints : 3 * joints],
-                wrench=noisy[row, 3 * joints :],
+                q=tuple(row[:joints]),
+                qd=tuple(row[joints : 2 * joints]),
+                tau=tuple(row[2 * joints : 3 * joints]),
+                wrench=tuple(row[3 * joints :]),
             )
-            for name, row in self._row.items()
+            for name, row in zip(self._row, noisy, strict=True)
         }
 
     def load_pose(self) -> LoadPose:
@@ -116,10 +138,10 @@ class MujocoPlant:
 
     def pull(self, point: str, force: Array) -> None:
         """The leader's force, (3,) N world, at a named point; held, and moving with the point, until the next one."""
-        self._pull_point = np.array(self.points[point])
+        self._pull_lever = np.array(self.points[point]) - self.world.load_com
         self._pull_force = force
 
-    def command(self, arm: str, torque: Array, base_force: Array, stiffness: Array) -> None:
+    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers) -> None:
         """This tick's command of one arm; ``stiffness`` is recorded only."""
         row = self._row[arm]
         self._drivers.command(row, torque, base_force)
@@ -136,13 +158,16 @@ class MujocoPlant:
 
     def step(self) -> None:
         """Advance to the next tick. A row of the trace takes :meth:`state_row` before and :meth:`force_row` after."""
-        data, drivers = self._data, self._drivers
+        drivers = self._drivers
         drivers.tick()
         for _ in range(self._substeps):
-            drivers.advance(self._dt_s, data.qfrc_bias[self._arm_dofs], data.qvel[self._arm_dofs])
+            if drivers.any_limp:
+                drivers.advance(self._dt_s, self._qfrc_bias[self._arm_dofs], self._qvel[self._arm_dofs])
+            else:
+                drivers.advance(self._dt_s)
             self._apply_efforts()
-            mujoco.mj_step(self._model, data)
-        if data.warning.number.any():
+            mujoco.mj_step(self._model, self._data)
+        if self._warnings.any():
             self._fail()
         self.tick += 1
 
@@ -155,15 +180,16 @@ class MujocoPlant:
         )
 
     def _apply_efforts(self) -> None:
-        data, world, drivers = self._data, self.world, self._drivers
-        data.qfrc_applied[self._arm_dofs] = drivers.torque
-        yaw = data.qpos[self._base_qpos[:, 2]]
+        drivers, applied, dofs = self._drivers, self._qfrc_applied, self._base_dofs
+        applied[self._arm_dofs] = drivers.torque
+        yaw = self._qpos[self._base_qpos[:, 2]]
         c, s = np.cos(yaw), np.sin(yaw)
         x, y, turn = drivers.base_force.T
-        data.qfrc_applied[self._base_dofs] = np.stack([c * x - s * y, s * x + c * y, turn], axis=1)
-        lever = data.xmat[world.load_body].reshape(3, 3) @ (self._pull_point - world.load_com)
-        data.xfrc_applied[world.load_body, :3] = self._pull_force
-        data.xfrc_applied[world.load_body, 3:] = _cross(lever, self._pull_force)
+        applied[dofs[:, 0]] = c * x - s * y
+        applied[dofs[:, 1]] = s * x + c * y
+        applied[dofs[:, 2]] = turn
+        self._load_force[:] = self._pull_force
+        self._load_torque[:] = _cross((self._R_WO @ self._pull_lever).tolist(), self._pull_force.tolist())
 
     def state_row(self) -> tuple[list[Array], Array]:
         """Positions and velocities of this tick: the load's, and the arms' [q, qd, base, base velocity], (N, 2n + 6).
@@ -209,6 +235,6 @@ def _indices(slices: list[slice]) -> NDArray[np.intp]:
     return np.array([range(each.start, each.stop) for each in slices], dtype=np.intp)
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: Sequence[float], b: Sequence[float]) -> Vector:
     """a x b; numpy's own costs ten times as much for two short vectors."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

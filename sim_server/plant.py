@@ -12,17 +12,20 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from wire.messages import Vector
+
 Array = NDArray[np.float64]
+Numbers = Vector | Array
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
     """What the sensors of one arm say; fields as in :class:`wire.messages.State`."""
 
-    q: Array
-    qd: Array
-    tau: Array
-    wrench: Array
+    q: Vector
+    qd: Vector
+    tau: Vector
+    wrench: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +55,7 @@ class Plant(Protocol):
         """The leader's force, (3,) N world, at a named point of the load; held until the next one."""
         ...
 
-    def command(self, arm: str, torque: Array, base_force: Array, stiffness: Array) -> None:
+    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers) -> None:
         """This tick's command for one arm (``stiffness`` is recorded only); an arm without one has missed the tick."""
         ...
 

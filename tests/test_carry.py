@@ -59,7 +59,7 @@ def carried(name: str, tmp_path: Path, changes: dict[str, Any]) -> dict[str, Any
             plant.pull(leader.point, pull(view, np.array(plant.points[leader.point]), told))
         for each, law in laws.items():
             reading = readings[each]
-            effort = law.step(Sensed(reading.q, reading.qd, reading.tau, reading.wrench), 1e-3)
+            effort = law.step(Sensed(*map(np.array, (reading.q, reading.qd, reading.tau, reading.wrench))), 1e-3)
             plant.command(each, effort.torque, effort.base_force, effort.stiffness)
         before = plant.state_row() if tick % scenario.record.every_ticks == 0 else None
         plant.step()

@@ -204,7 +204,7 @@ def test_the_page_on_the_law_names_every_equation_and_no_other() -> None:
         name
         for module in (law_equations, null_equations, stiffness_equations, task_equations)
         for name, function in vars(module).items()
-        if getattr(function, "__module__", None) == module.__name__
+        if getattr(function, "__module__", None) == module.__name__ and not name.startswith("_")
     }
     assert named == written
 

@@ -16,7 +16,7 @@ FORBIDDEN = {
     "wire": ("agents", "sim_server", "deploy"),
 }
 # The one file that imports the library.
-ONLY_DOOR = {"zenoh": "wire/zenoh_link.py", "pinocchio": "agents/arm_model.py"}
+ONLY_DOOR = {"zenoh": "wire/zenoh_link.py", "pinocchio": "agents/arm_model.py", "casadi": "agents/tracing.py"}
 # No more files than this import the library.
 MOST_DOORS = {"rerun": 1, "mujoco": 3}
 MUJOCO_FOLDER = "sim_server/"

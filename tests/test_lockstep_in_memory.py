@@ -19,7 +19,7 @@ from processes import read_events, read_json
 from agents.follower import Follower, FollowerSettings
 from agents.leader import LeaderSettings, pull
 from sim_server.lockstep import LockStep, Stopped
-from sim_server.plant import LoadPose, Reading
+from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.reception import LEADER, Reception, Terms
 from sim_server.run_folder import RunFolder
 from sim_server.scenario_files import load_scenario
@@ -63,7 +63,7 @@ class Ledger:
     def read(self) -> Mapping[str, Reading]:
         self.book.append(("read", self.tick))
         return {
-            arm: Reading(np.full(7, k + 0.1), np.full(7, k + 0.2), np.full(7, k + 0.3), np.full(6, k + 0.4))
+            arm: Reading((k + 0.1,) * 7, (k + 0.2,) * 7, (k + 0.3,) * 7, (k + 0.4,) * 6)
             for k, arm in enumerate(self.arms, start=1)
         }
 
@@ -73,7 +73,7 @@ class Ledger:
     def pull(self, point: str, force: Array) -> None:
         self.book.append(("pull", point, tuple(force.tolist())))
 
-    def command(self, arm: str, torque: Array, base_force: Array, stiffness: Array) -> None:
+    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers) -> None:
         self.book.append(("command", arm, float(torque[0])))
 
     def lose(self, arm: str) -> None:

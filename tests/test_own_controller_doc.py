@@ -50,7 +50,7 @@ def test_the_controller_of_the_page_holds_a_crate(folder: Path, monkeypatch: pyt
     start = plant.load_pose()
     for _ in range(2000):
         reading = plant.read()["a1"]
-        effort = safe.step(Sensed(reading.q, reading.qd, reading.tau, reading.wrench), 1e-3)
+        effort = safe.step(Sensed(*map(np.array, (reading.q, reading.qd, reading.tau, reading.wrench))), 1e-3)
         plant.command("a1", effort.torque, effort.base_force, effort.stiffness)
         plant.step()
     end = plant.load_pose()

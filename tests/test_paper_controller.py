@@ -18,7 +18,7 @@ from agents.controllers import CONTROLLERS, find_controller, make_controller
 from agents.controllers.interface import Controller, Effort, Sensed
 from agents.controllers.paper import PaperController, PaperGains
 from agents.errors import ControllerError
-from agents.safety import SafeController, hold_effort
+from agents.safety import CheckedEffort, SafeController, hold_effort
 from wire.arms import arm_path
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class OneArm:
         data = self.data
         return Sensed(data.qpos.copy(), data.qvel.copy(), data.qfrc_applied.copy(), np.zeros(6))
 
-    def apply(self, effort: Effort) -> None:
+    def apply(self, effort: Effort | CheckedEffort) -> None:
         self.data.qfrc_applied[:] = effort.torque
         mujoco.mj_step(self.model, self.data)
 

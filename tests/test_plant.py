@@ -187,8 +187,8 @@ def test_the_load_pushes_the_bases() -> None:
     plant.pull("centre", np.array([40.0, 0.0, 0.0]))
     for _ in range(1500):
         for name, sensed in plant.read().items():
-            hold = 600.0 * (first[name].q - sensed.q) - 40.0 * sensed.qd
-            plant.command(name, first[name].tau + hold, np.zeros(3), NO_STIFFNESS)
+            hold = 600.0 * np.subtract(first[name].q, sensed.q) - 40.0 * np.array(sensed.qd)
+            plant.command(name, np.array(first[name].tau) + hold, np.zeros(3), NO_STIFFNESS)
         plant.step()
     data, world = plant.world.data, plant.world
     speed = 40.0 / (4 * given.base.rolling_resistance_Ns_m)
@@ -203,7 +203,7 @@ def test_a_bases_drive_is_bounded() -> None:
     pushed = []
     for force in (300.0, 1e6):
         plant = plant_of(scenario(base={"force_max_N": 300.0}))
-        plant.command("a1", plant.read()["a1"].tau * 0, np.array([force, 0.0, 0.0]), NO_STIFFNESS)
+        plant.command("a1", np.zeros(7), np.array([force, 0.0, 0.0]), NO_STIFFNESS)
         plant.step()
         pushed.append(plant.world.data.qvel.copy())
     np.testing.assert_array_equal(pushed[0], pushed[1])
@@ -333,7 +333,7 @@ def test_noise_is_repeatable_per_seed_and_another_seed_is_another_noise() -> Non
 def test_the_torque_sensor_lags_no_more_than_the_driver() -> None:
     """What is measured is what the driver applies, which moves towards a command by 1 N m in each millisecond."""
     plant = plant_of(scenario(plant=QUIET))
-    start = plant.read()["a1"].tau
+    start = np.array(plant.read()["a1"].tau)
     measured = []
     for _ in range(4):
         plant.command("a1", start + 2.5, np.zeros(3), NO_STIFFNESS)
@@ -375,7 +375,7 @@ def test_positions_and_forces_of_a_row_belong_to_the_same_instant() -> None:
     plant.pull("front", pull)
     for _ in range(40):
         for name in world.arms:
-            plant.command(name, start[name].tau + rng.normal(size=7), rng.normal(size=3) * 50, NO_STIFFNESS)
+            plant.command(name, np.array(start[name].tau) + rng.normal(size=7), rng.normal(size=3) * 50, NO_STIFFNESS)
         before = plant.state_row()
         pose = plant.load_pose()
         r = rotation(pose.quat_wxyz) @ world.load_com

@@ -5,13 +5,14 @@ The printed gains are per degree (docs/control-law.md says why); here they stand
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from agents.arm_model import ArmModel, ArmSnapshot
+from agents.arm_model import ArmModel
 from agents.controllers.interface import Effort, Sensed
 from agents.equations.law import base_force, joint_torque
 from agents.equations.null_space import null_torque_projected
@@ -27,6 +28,7 @@ from agents.equations.task import (
     tilt_error,
 )
 from agents.errors import ControllerError
+from agents.tracing import Traced
 
 Array = NDArray[np.float64]
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
@@ -62,9 +64,59 @@ class PaperGains(BaseModel):
     """B_m."""
 
 
+def paper_law(
+    gains: PaperGains,
+    *,
+    qd: Array,
+    M_inv: Array,
+    C: Array,
+    g: Array,
+    J: Array,
+    Jdot: Array,
+    p_BE: Array,
+    R_BE: Array,
+    p_held: Array,
+    up_E: Array,
+) -> tuple[Array, Array, Array]:
+    """Joint torque (n,) N m, base force (2,) N in B, and joint stiffness (n,) N m/rad. Equations 5 to 16.
+
+    Args:
+        qd: joint velocities, (n,) rad/s.
+        M_inv, C, g, J, Jdot, p_BE, R_BE: as in :class:`agents.arm_model.ArmSnapshot`.
+        p_held: where the hand was at the first step, (3,) m in B: its height is held, the base keeps the rest.
+        up_E: the hand's axis that was vertical then, (3,) unit vector in the hand's frame E.
+    """
+    J_x, Jdot_x = J[TASK_ROWS], Jdot[TASK_ROWS]
+    K_nu = np.array(gains.null_stiffness_Nm_rad)
+    D = np.full(len(K_nu), gains.null_damping_Nms_rad)
+    K_e, B_e = np.full(3, gains.task_stiffness_1_s2), np.full(3, gains.task_damping_1_s)
+
+    x_err = np.array([p_held[2] - p_BE[2], *tilt_error(R_BE @ up_E)])
+    xd_err = -task_velocity(J_x, qd)
+    Lambda_x = task_inertia(J_x, M_inv)
+    Jbar = dynamically_consistent_inverse(J_x, M_inv, Lambda_x)
+
+    q_err = projected_joint_error(gains.alpha, Jbar, x_err)
+    K = K_nu
+    if gains.adaptive:
+        K = adaptive_stiffness(K_nu, gains.beta, q_err, projected_error_rate(gains.alpha, Jbar, xd_err))
+
+    xdd_c = task_acceleration(np.zeros(3), xd_err, x_err, B_e, K_e)
+    if gains.drift_compensation:
+        xdd_c = xdd_c - task_drift(Jdot_x, qd)
+    tau_task = task_torque(J_x, Lambda_x, xdd_c, Jbar, external_torque(K, Jbar, x_err))
+
+    tau_null = null_torque_projected(J_x, Jdot_x, Jbar, Lambda_x, C, D, qd, K, q_err)
+
+    F_m = base_force(p_BE[:2] - p_held[:2], J[:2] @ qd, gains.base_stiffness_N_m, gains.base_damping_Ns_m)
+    return joint_torque(tau_task, tau_null, C, qd, g), F_m, K
+
+
 class PaperController:
     """Equations 5 to 16: holds the hand's height, roll and pitch where they were at the first step, follows in the
     plane, stiffens with the error, drives the base after the hand.
+
+    Runs :func:`paper_law` traced (agents/tracing.py): the same equations, evaluated in one call.
 
     Raises:
         pydantic.ValidationError: a gain is unknown or not a number in its range.
@@ -74,64 +126,30 @@ class PaperController:
     gains_model = PaperGains
 
     def __init__(self, arm: ArmModel, **gains: object) -> None:
-        self._arm = arm
+        self._arm, n = arm, arm.joints
         self.gains = PaperGains.model_validate(gains)
-        self._K_nu = np.array(self.gains.null_stiffness_Nm_rad)
-        if self._K_nu.shape != (arm.joints,):
+        if len(self.gains.null_stiffness_Nm_rad) != n:
             raise ControllerError(
-                f"controller paper: null_stiffness_Nm_rad: got {self._K_nu.size} numbers, expected {arm.joints}, one "
-                f"per joint of arm model {arm.name}"
+                f"controller paper: null_stiffness_Nm_rad: got {len(self.gains.null_stiffness_Nm_rad)} numbers, "
+                f"expected {n}, one per joint of arm model {arm.name}"
             )
-        self._D = np.full(arm.joints, self.gains.null_damping_Nms_rad)
-        self._K_e = np.full(3, self.gains.task_stiffness_1_s2)
-        self._B_e = np.full(3, self.gains.task_damping_1_s)
-        self._held: _Held | None = None
+        shapes = {"qd": (n,), "M_inv": (n, n), "C": (n, n), "g": (n,), "J": (6, n), "Jdot": (6, n)}
+        poses = {"p_BE": (3,), "R_BE": (3, 3), "p_held": (3,), "up_E": (3,)}
+        self._law = Traced(partial(paper_law, self.gains), shapes | poses, symmetric=("M_inv",))
+        self._base_force = np.zeros(3)
+        self._holds = False
 
     def step(self, sensed: Sensed, dt_s: float) -> Effort:
         """The law remembers the pose at the first step and integrates nothing: ``dt_s`` is not used."""
-        arm = self._arm.snapshot(sensed.q, sensed.qd)
-        if self._held is None:
-            self._held = _Held(arm)
-        qd, gains = arm.qd, self.gains
-        J, Jdot = arm.J[TASK_ROWS], arm.Jdot[TASK_ROWS]
-
-        x_err = self._held.task_error(arm)
-        xd_err = -task_velocity(J, qd)
-        Lambda_x = task_inertia(J, arm.M_inv)
-        Jbar = dynamically_consistent_inverse(J, arm.M_inv, Lambda_x)
-
-        q_err = projected_joint_error(gains.alpha, Jbar, x_err)
-        K = self._K_nu
-        if gains.adaptive:
-            K = adaptive_stiffness(K, gains.beta, q_err, projected_error_rate(gains.alpha, Jbar, xd_err))
-
-        xdd_c = task_acceleration(np.zeros(3), xd_err, x_err, self._B_e, self._K_e)
-        if gains.drift_compensation:
-            xdd_c = xdd_c - task_drift(Jdot, qd)
-        tau_task = task_torque(J, Lambda_x, xdd_c, Jbar, external_torque(K, Jbar, x_err))
-
-        tau_null = null_torque_projected(J, Jdot, Jbar, Lambda_x, arm.C, self._D, qd, K, q_err)
-
-        F_m = base_force(
-            arm.p_BE[:2] - self._held.xy, arm.J[:2] @ qd, gains.base_stiffness_N_m, gains.base_damping_Ns_m
-        )
-        return Effort(
-            torque=joint_torque(tau_task, tau_null, arm.C, qd, arm.g),
-            base_force=np.array([F_m[0], F_m[1], 0.0]),
-            stiffness=K,
-        )
-
-
-class _Held:
-    """The pose of the hand at the first step: what the task holds, and where the base wants the hand."""
-
-    def __init__(self, arm: ArmSnapshot) -> None:
-        self.z = arm.p_BE[2]
-        self.xy = arm.p_BE[:2]
-        self.u_E = arm.R_BE.T @ np.array([0.0, 0.0, 1.0])
-        """The hand's axis that was vertical, in the hand's frame E."""
-
-    def task_error(self, arm: ArmSnapshot) -> Array:
-        """x_d - x: height, roll, pitch, (3,) m, rad, rad, in B."""
-        tilt = tilt_error(arm.R_BE @ self.u_E)
-        return np.array([self.z - arm.p_BE[2], tilt[0], tilt[1]])
+        law = self._law
+        terms = law.inputs
+        self._arm.fill(sensed.q, sensed.qd, terms)
+        terms["qd"][:] = sensed.qd
+        if not self._holds:
+            terms["p_held"][:] = terms["p_BE"]
+            terms["up_E"][:] = terms["R_BE"][2]
+            self._holds = True
+        law()
+        torque, base_force, stiffness = law.outputs
+        self._base_force[:2] = base_force
+        return Effort(torque.copy(), self._base_force.copy(), stiffness.copy())

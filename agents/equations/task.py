@@ -62,7 +62,22 @@ def task_inertia(J: Array, M_inv: Array) -> Array:
     Raises:
         numpy.linalg.LinAlgError: J has lost rank (the arm cannot move in some task direction).
     """
-    return cast(Array, np.linalg.inv(J @ M_inv @ J.T))
+    return _inverse(J @ M_inv @ J.T)
+
+
+def _inverse(A: Array) -> Array:
+    """Inverse of a symmetric positive definite matrix. Of symbols (agents/tracing.py) by Gauss-Jordan elimination,
+    which needs no pivoting there."""
+    if A.dtype != object:
+        return cast(Array, np.linalg.inv(A))
+    n = len(A)
+    rows = np.hstack([A, np.eye(n, dtype=object)])
+    for k in range(n):
+        rows[k] = rows[k] / rows[k, k]
+        for other in range(n):
+            if other != k:
+                rows[other] = rows[other] - rows[k] * rows[other, k]
+    return rows[:, n:]
 
 
 def dynamically_consistent_inverse(J: Array, M_inv: Array, Lambda_x: Array) -> Array:
