@@ -17,11 +17,11 @@ import zenoh
 
 from sim_server.reception import Reception, Terms
 from wire import PROTOCOL_VERSION, codec, zenoh_link
-from wire.codec import MAX_JOINTS, SCHEMAS, decode, decode_any, encode
+from wire.codec import SCHEMAS, decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.keys import ANY_HELLO, Keys
 from wire.lifecycle import Invitation
-from wire.messages import Command, End, State, Vector, Welcome
+from wire.messages import MAX_INT, MAX_JOINTS, Command, End, State, Vector, Welcome
 
 PAGE = (Path(__file__).resolve().parent.parent / "docs" / "wire.md").read_text(encoding="utf-8")
 FOLLOWER_NEEDS = {"hello", "welcome", "state", "command", "refusal", "end"}
@@ -133,8 +133,8 @@ def test_a_field_has_the_shape_and_the_limit_that_are_written(kind: str, field: 
 
     match field.type:
         case "integer":
-            assert (reason(0), reason(codec.MAX_INT)) == (None, None)
-            assert (reason(-1), reason(codec.MAX_INT + 1)) == (Reason.RANGE, Reason.RANGE)
+            assert (reason(0), reason(MAX_INT)) == (None, None)
+            assert (reason(-1), reason(MAX_INT + 1)) == (Reason.RANGE, Reason.RANGE)
         case "number":
             assert (reason(-0.5), reason(2)) == (None, None)
         case "text":

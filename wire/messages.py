@@ -6,9 +6,20 @@ Numbers are SI; joint vectors have the arm's number of joints n (7 for the Panda
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+MAX_JOINTS = 16
+MAX_INT = 2**63 - 1
 
 Vector = tuple[float, ...]
+Joints = Annotated[Vector, Meta(min_length=1, max_length=MAX_JOINTS)]
+Three = Annotated[Vector, Meta(min_length=3, max_length=3)]
+Four = Annotated[Vector, Meta(min_length=4, max_length=4)]
+Six = Annotated[Vector, Meta(min_length=6, max_length=6)]
+Count = Annotated[int, Meta(ge=0, le=MAX_INT)]
+Name = Annotated[str, Meta(max_length=40)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +65,16 @@ class Refusal:
 class State:
     """What one arm feels at one tick: its own joints and its own wrist. All a follower ever gets."""
 
-    arm: str
-    tick: int
-    time_ns: int
-    q: Vector
+    arm: Name
+    tick: Count
+    time_ns: Count
+    q: Joints
     """Joint positions, (n,) rad."""
-    qd: Vector
+    qd: Joints
     """Joint velocities, (n,) rad/s."""
-    tau: Vector
+    tau: Joints
     """Measured joint torques, (n,) N m."""
-    wrench: Vector
+    wrench: Six
     """Wrist wrench [force; torque], (6,) N and N m: what the arm exerts on the hand, in the wrist frame."""
 
 
@@ -71,17 +82,17 @@ class State:
 class Command:
     """What one agent wants at one tick. ``stiffness`` and ``step_ns`` are a report: recorded, never obeyed."""
 
-    arm: str
-    tick: int
+    arm: Name
+    tick: Count
     """The tick of the state that this answers."""
-    lease: int
-    torque: Vector
+    lease: Count
+    torque: Joints
     """Joint torques, (n,) N m, gravity included."""
-    base_force: Vector
+    base_force: Three
     """(3,) force x, y in N and yaw torque in N m on the mobile base, in the base frame B."""
-    stiffness: Vector
+    stiffness: Joints
     """(n,) present joint stiffness, N m/rad."""
-    step_ns: int
+    step_ns: Count
     """Wall time that the controller's step took."""
 
 
@@ -89,15 +100,15 @@ class Command:
 class LeaderView:
     """What the leader sees of the load, in the world frame."""
 
-    tick: int
-    time_ns: int
-    position: Vector
+    tick: Count
+    time_ns: Count
+    position: Three
     """(3,) m, of the load's frame O."""
-    quat_wxyz: Vector
+    quat_wxyz: Four
     """(4,) orientation of O in the world, w first."""
-    linear_velocity: Vector
+    linear_velocity: Three
     """(3,) m/s, of the origin of O."""
-    angular_velocity: Vector
+    angular_velocity: Three
     """(3,) rad/s, world frame."""
 
 
@@ -105,11 +116,11 @@ class LeaderView:
 class LeaderForce:
     """The leader's pull."""
 
-    tick: int
-    lease: int
-    point: str
+    tick: Count
+    lease: Count
+    point: Name
     """Name of the point of the load that the force acts at."""
-    force: Vector
+    force: Three
     """(3,) N, world frame."""
 
 
