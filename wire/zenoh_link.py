@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import json
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import zenoh
 
 from wire.errors import LinkError
+from wire.link import Census, Declared, Kind
+
+CENSUS_S = 2.0
+"""How long to wait for what our own session knows; it takes less than a millisecond."""
 
 _COMMON: dict[str, Any] = {
     "scouting": {"multicast": {"enabled": False, "autoconnect": []}, "gossip": {"enabled": False}},
@@ -36,6 +40,27 @@ _COMMON: dict[str, Any] = {
 }
 
 
+_OWN_EYES: dict[str, Any] = {
+    "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
+    "access_control": {
+        "enabled": True,
+        "default_permission": "allow",
+        "rules": [
+            {
+                "id": "admin",
+                "permission": "deny",
+                "messages": ["put", "delete", "declare_subscriber", "query", "reply", "declare_queryable"],
+                "flows": ["ingress", "egress"],
+                "key_exprs": ["@/**"],
+            }
+        ],
+        "subjects": [{"id": "everybody"}],
+        "policies": [{"rules": ["admin"], "subjects": ["everybody"]}],
+    },
+}
+"""The simulator's session can read its own routing tables, which is what the audit rests on; nobody else can."""
+
+
 def free_endpoint() -> str:
     """An address on this machine that nobody listens on just now, as a Zenoh endpoint."""
     with socket.socket() as probe:
@@ -51,7 +76,8 @@ def open_server(endpoint: str) -> ZenohLink:
     """
     _check_can_listen(endpoint)
     return _open(
-        {**_COMMON, "mode": "peer", "listen": {"endpoints": [endpoint]}, "connect": {"endpoints": []}}, endpoint
+        {**_COMMON, **_OWN_EYES, "mode": "peer", "listen": {"endpoints": [endpoint]}, "connect": {"endpoints": []}},
+        endpoint,
     )
 
 
@@ -91,6 +117,11 @@ def _parse(endpoint: str) -> tuple[str, str, int]:
     if not (protocol and host and port.isascii() and port.isdigit() and 0 < int(port) <= 65535):
         raise LinkError(f"bad address {endpoint!r}: expected <protocol>/<host>:<port>, for example tcp/127.0.0.1:7447")
     return protocol, host.strip("[]"), int(port)
+
+
+def port_of(endpoint: str) -> int:
+    """The port in an endpoint. Raises :class:`LinkError` if it does not look like one."""
+    return _parse(endpoint)[2]
 
 
 def _check_can_listen(endpoint: str) -> None:
@@ -179,6 +210,29 @@ class ZenohLink:
 
         callback = zenoh.handlers.Callback(deliver, indirect=False)
         self._declared.append(self._session.liveliness().declare_subscriber(key, callback, history=True))
+
+    def census(self, keys: Sequence[str]) -> Census | None:
+        own = str(self._session.info.zid())
+        asked = [(key, zenoh.KeyExpr(key)) for key in keys]
+        addresses: dict[str, str] = {}
+        declared: list[Declared] = []
+        replies = [reply.ok for reply in self._session.get(f"@/{own}/**", timeout=CENSUS_S)]
+        for reply in replies:
+            chunks = str(reply.key_expr).split("/") if reply is not None else []
+            if reply is None or len(chunks) < 5:
+                continue
+            if chunks[2:5] == ["session", "transport", "unicast"]:
+                if len(chunks) > 7:
+                    addresses[chunks[5]] = str(json.loads(reply.payload.to_bytes())["dst"])
+            elif chunks[3] in ("subscriber", "publisher", "queryable", "token"):
+                expression = zenoh.KeyExpr("/".join(chunks[4:]))
+                reached = tuple(key for key, exact in asked if expression.intersects(exact))
+                sources: dict[str, list[str]] = json.loads(reply.payload.to_bytes())
+                declared += [
+                    Declared(session, cast(Kind, chunks[3]), str(expression), reached)
+                    for session in sorted({zid for zids in sources.values() for zid in zids} - {own})
+                ]
+        return Census(addresses, tuple(declared)) if replies else None
 
     def close(self) -> None:
         for declared in self._declared:
