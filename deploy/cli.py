@@ -41,6 +41,10 @@ Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE"
 RunName = Annotated[str, typer.Option("--run", help="Name of the run.")]
 Connect = Annotated[str, typer.Option("--connect", help="Address of the simulator.")]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
+Walls = Annotated[
+    bool,
+    typer.Option("--walls", help="Shut this process in: its working folder and the simulator's port only (Linux)."),
+]
 
 
 @app.callback(invoke_without_command=True)
@@ -169,6 +173,7 @@ def follower(
     controller: Annotated[str, typer.Option(help="A law's name, or module:Class for your own.")] = "paper",
     handover_s: Annotated[float, typer.Option(min=0.0, help="Time over which the law takes the load over.")] = 1.0,
     set_: Settings = None,
+    walls: Walls = False,
     with_parent: WithParent = False,
 ) -> None:
     """Start one follower: the control process of one arm."""
@@ -178,6 +183,8 @@ def follower(
 
     _log_to_stderr()
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
+    if walls:  # all of ours is loaded, nothing of the user's
+        _raise_walls(connect)
     gains = tables(set_ or [])
     settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s)
     Keys(run).arm(arm)
@@ -197,6 +204,7 @@ def leader(
     stiffness: Annotated[float, typer.Option("--stiffness-N-m", min=0.0)] = 100.0,
     damping: Annotated[float, typer.Option("--damping-Ns-m", min=0.0)] = 320.0,
     point: Annotated[str, typer.Option(help="Point of the load that is pulled.")] = "front",
+    walls: Walls = False,
     with_parent: WithParent = False,
 ) -> None:
     """Start the leader: it sees the load, knows the goal, and pulls."""
@@ -205,6 +213,8 @@ def leader(
     from wire.zenoh_link import open_client
 
     _log_to_stderr()
+    if walls:
+        _raise_walls(connect)
     Keys(run)
     settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point)
     if with_parent:
@@ -234,6 +244,17 @@ def metrics(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run fo
     print_metrics(Console(), found, judged)
 
 
+@app.command()
+def audit(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]) -> None:
+    """Say who heard what in a run, and whether any key reached two agents."""
+    from deploy.audit_report import print_audit
+    from sim_server.run_folder import read_audit
+
+    found = read_audit(folder)
+    print_audit(Console(), found, folder)
+    raise typer.Exit(OF_VERDICT.get(found["verdict"], COULD_NOT_RUN))
+
+
 def _run_name(name: str) -> str:
     """A scenario's name as part of a key."""
     kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower()).strip("-")
@@ -247,6 +268,13 @@ def _log_to_stderr() -> None:
 def _stop_on_signals(stop: Callable[[], None]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stop())
+
+
+def _raise_walls(connect: str) -> None:
+    from deploy.walls import SAYS, raise_walls
+    from wire.zenoh_link import port_of
+
+    print(SAYS + raise_walls(port_of(connect), Path.cwd()), flush=True)
 
 
 def _leave_on_signals() -> None:

@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.room import Rooms, room_environment
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario
 from wire.codec import decode, encode
@@ -76,6 +77,7 @@ class Launcher:
         self._run, self._endpoint, self._folder = run, endpoint, folder
         self._children: list[Child] = []
         self._logs = folder / LOGS
+        self._rooms = Rooms()
 
     def start(self) -> None:
         """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
@@ -84,23 +86,29 @@ class Launcher:
         place = ["--listen", self._endpoint, "--out", str(self._folder)]
         self._spawn("sim", ["sim", *common, *place, *self._scenario_arguments])
         self.wait_until_listening()
-        agent = [*common, "--connect", self._endpoint]
+        agent = [*common, "--walls", "--connect", self._endpoint]
         for arm in self._scenario.arms:
-            self._spawn(arm, ["follower", "--arm", arm, *follower_arguments(self._scenario), *agent])
+            self._spawn(
+                arm, ["follower", "--arm", arm, *follower_arguments(self._scenario), *agent], self._rooms.make()
+            )
         if self._scenario.leader is not None:
-            self._spawn("leader", ["leader", *leader_arguments(self._scenario), *agent])
+            self._spawn("leader", ["leader", *leader_arguments(self._scenario), *agent], self._rooms.make())
 
-    def _spawn(self, name: str, arguments: Sequence[str]) -> None:
+    def _spawn(self, name: str, arguments: Sequence[str], room: Path | None = None) -> None:
+        """Start a process; one with a ``room`` gets nothing else of this machine than that."""
         log = self._logs / f"{name}.log"
+        environment = room_environment(os.environ, room, Path.cwd()) if room else os.environ
         with log.open("wb") as output:
             process = subprocess.Popen(
                 [sys.executable, "-m", "deploy.cli", *arguments],
+                cwd=room,
                 stdin=subprocess.PIPE,
-                stdout=output,
+                stdout=subprocess.PIPE if room else output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env=child_environment(os.environ),
+                env=child_environment(environment),
             )
+        self._rooms.keep_log(process, log)
         self._children.append(Child(name, process, log))
 
     def wait_until_listening(self) -> None:
@@ -167,6 +175,7 @@ class Launcher:
         for child in self._children:
             if child.process.stdin is not None:
                 child.process.stdin.close()
+        self._rooms.clear()
 
 
 def follower_arguments(scenario: Scenario) -> list[str]:
