@@ -56,7 +56,7 @@ class Seen:
     folder: Path
     status: int
     said: str
-    libraries: dict[str, set[str]] = field(default_factory=dict)
+    libraries: dict[str, set[str] | None] = field(default_factory=dict)
     pids: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -64,9 +64,12 @@ class Seen:
         return (self.folder / "trace.parquet").read_bytes()
 
 
-def loaded_libraries(pid: int) -> set[str]:
-    """Which of the two engines a process has mapped."""
-    maps = Path(f"/proc/{pid}/maps").read_text()
+def loaded_libraries(pid: int) -> set[str] | None:
+    """Which of the two engines a process has mapped; None if its walls hide that from this user."""
+    try:
+        maps = Path(f"/proc/{pid}/maps").read_text()
+    except PermissionError:
+        return None
     return {library for library in ("mujoco", "pinocchio") if library in maps}
 
 
@@ -103,7 +106,7 @@ def test_a_run_that_holds_its_bounds_ends_with_status_0_and_says_so(main_run: Se
 def test_a_run_leaves_its_whole_folder_and_a_log_per_process(main_run: Seen) -> None:
     files = {path.relative_to(main_run.folder).as_posix() for path in main_run.folder.rglob("*") if path.is_file()}
     logs = {f"logs/{name}.log" for name in ("sim", "a1", "a2", "a3", "a4", "leader")}
-    assert files - {"run.png"} == {"run.json", "metrics.json", "trace.parquet", "events.jsonl"} | logs
+    assert files - {"run.png"} == {"run.json", "metrics.json", "audit.json", "trace.parquet", "events.jsonl"} | logs
 
 
 def test_every_follower_is_a_process_of_its_own(main_run: Seen) -> None:
@@ -116,9 +119,11 @@ def test_every_follower_is_a_process_of_its_own(main_run: Seen) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc")
 def test_no_follower_has_the_simulators_engine_loaded_and_the_simulator_not_theirs(main_run: Seen) -> None:
+    assert main_run.libraries["sim"] == {"mujoco"}
+    if main_run.libraries["a1"] is None:
+        pytest.skip("the walls hide a follower's memory from everybody but root")
     for arm in ("a1", "a2", "a3", "a4"):
         assert main_run.libraries[arm] == {"pinocchio"}
-    assert main_run.libraries["sim"] == {"mujoco"}
     assert main_run.libraries["leader"] == set()
 
 
