@@ -20,6 +20,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from deploy.chaos.commands import app as chaos_app
 from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import Interrupted, end_with_parent, raise_on_signals
 from deploy.settings import scenario_changes, tables
@@ -35,6 +36,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+app.add_typer(chaos_app, name="chaos")
 
 ScenarioName = Annotated[str, typer.Argument(help="A scenario's name (see `palanquin scenarios`) or a TOML file.")]
 Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value (TOML).")]
