@@ -21,7 +21,7 @@ import zenoh
 from wire.credentials import Credential, Guests
 from wire.endpoints import check_stays_here_or_is_proven, parse_endpoint
 from wire.errors import CredentialError, LinkError, LoginRefused
-from wire.zenoh_config import client_config, open_server_config, passwords, server_config
+from wire.zenoh_config import client_config, open_server_config, passwords, server_config, uses_certificates
 
 REFUSALS_ARE_NO_ACCIDENT = 3
 """Openings in a row that somebody who listens there ended at once: a login that is refused, not one lost in a rush."""
@@ -55,6 +55,8 @@ def open_server(
     address.check_can_listen()
     check_stays_here_or_is_proven(address, has_credentials=guests is not None, insecure_network=insecure_network)
     if guests is None:
+        if uses_certificates(endpoint):
+            raise CredentialError(f"{endpoint}: a tls/ address needs a certificate: give the simulator's credentials")
         return _open(open_server_config(endpoint), endpoint)
     with _readable_once(passwords(guests)) as file:
         return _open(server_config(endpoint, guests, run, file), endpoint)
