@@ -363,7 +363,7 @@ def by_hand(tmp_path_factory: pytest.TempPathFactory) -> ByHand:
         return stack.enter_context(started(*agent, cwd=cwd, name=name))
 
     with ExitStack() as stack:
-        serve = ("--run", RUN, "--listen", endpoint, *settings(values))
+        serve = ("--open", "--run", RUN, "--listen", endpoint, *settings(values))
         sim = stack.enter_context(started("sim", "transport-one", "--out", seen.folder, *serve, cwd=cwd, name="sim"))
         sim.wait_until(lambda: f"run {RUN} at {endpoint}, waiting for a1" in sim.output.read_text(), "the simulator")
         seen.replies = dict(refused_greetings(endpoint))
@@ -467,7 +467,7 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        ended = run_to_end("sim", "hold", "--listen", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
+        ended = run_to_end("sim", "hold", "--open", "--listen", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
     (line,) = ended.stderr.splitlines()
     assert f"port {port} is in use" in line
     assert "--listen" in line
@@ -500,7 +500,7 @@ def test_a_run_folder_is_never_written_over(main_run: Seen, tmp_path: Path, comm
         return {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in files}
 
     before = content()
-    listen = ["--listen", f"tcp/127.0.0.1:{free_port()}"] if command == "sim" else []
+    listen = ["--open", "--listen", f"tcp/127.0.0.1:{free_port()}"] if command == "sim" else []
     ended = run_to_end(command, "transport", "--out", main_run.folder, *listen, cwd=tmp_path)
     (line,) = ended.stderr.splitlines()
     assert f"{main_run.folder} holds a run already" in line

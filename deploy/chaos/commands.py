@@ -34,14 +34,14 @@ def intruder(
     from deploy.chaos.intruder import ATTEMPTS, try_all
     from deploy.chaos.target import Target
     from deploy.walls import SAYS, raise_walls
+    from wire.endpoints import parse_endpoint
     from wire.keys import Keys
-    from wire.zenoh_link import port_of
 
     for name in (arm, *other):
         Keys(run).arm(name)
     proof: dict[str, Any] = json.loads(_text(overlay)) if overlay else {}
     if walls:
-        print(SAYS + raise_walls(port_of(connect), Path.cwd()), file=sys.stderr)
+        print(SAYS + raise_walls(parse_endpoint(connect).port, Path.cwd()), file=sys.stderr)
     target = Target(connect, run, arm, tuple(other), proof, tuple(private or ()), tuple(pid or ()))
     for row in try_all(target, ATTEMPTS):
         print(json.dumps({"name": row.name, "way": row.way, **asdict(row.got)}), flush=True)
