@@ -178,7 +178,7 @@ def sim(
         name, listen, connect_router, credentials, is_open=open_, insecure_network=insecure_network
     ) as link:
         folder = RunFolder(out or default_folder(Path("runs"), named.name))
-        server = Server(link, named, name, folder)
+        server = Server(link, named, name, folder, names_proven=not open_)
         _stop_on_signals(server.stop)
         if with_parent:
             end_with_parent(lambda: _stop_or_exit(server.stop), even_if_stopped=False)

@@ -49,10 +49,11 @@ class Auditor:
         link: the simulator's link.
         keys: of the run.
         agents: every agent's own keys.
+        names_proven: credentials and access rules stand behind the names: two sessions of one name are one agent's.
     """
 
-    def __init__(self, link: Link, keys: Keys, agents: Mapping[str, ArmKeys]) -> None:
-        self._link = link
+    def __init__(self, link: Link, keys: Keys, agents: Mapping[str, ArmKeys], *, names_proven: bool = False) -> None:
+        self._link, self._names_proven = link, names_proven
         self._agents = tuple(agents)
         self._owner = {
             key: name for name, its in agents.items() for key in (its.state, its.command, its.hello, its.alive)
@@ -92,7 +93,7 @@ class Auditor:
         now = self._add(census)
         for name in self._agents:
             at_once = [session for session in now if self.sessions[session].agents == {name}]
-            if len(at_once) > 1:
+            if len(at_once) > 1 and not self._names_proven:
                 self._doubts.add(f"{len(at_once)} sessions went by the name {name} at the same time")
 
     def _add(self, census: Census) -> set[str]:
@@ -153,6 +154,7 @@ class Auditor:
         return {
             "verdict": verdict,
             "why": why,
+            "names_proven": self._names_proven,
             "looks": self.looks,
             "look_every_s": EVERY_S,
             "processes": dict(processes),

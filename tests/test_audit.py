@@ -29,9 +29,9 @@ AGENTS = {"a1": A1, "a2": A2, "leader": KEYS.leader}
 class Team:
     """A simulator's link with its auditor, and agents that behave."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, names_proven: bool = False) -> None:
         self.broker = Broker()
-        self.auditor = Auditor(self.broker.link(), KEYS, AGENTS)
+        self.auditor = Auditor(self.broker.link(), KEYS, AGENTS, names_proven=names_proven)
         self.links = {name: self.join(name) for name in AGENTS}
 
     def join(self, name: str) -> Link:
@@ -110,6 +110,12 @@ def test_two_sessions_of_one_name_at_once_are_not_known_to_be_one_agent() -> Non
     assert team.verdict() == ("unknown", ["2 sessions went by the name a1 at the same time"])
 
 
+def test_where_credentials_prove_the_name_two_sessions_of_it_are_one_agent() -> None:
+    team = Team(names_proven=True)
+    team.join("a1")
+    assert team.verdict()[0] == "holds"
+
+
 def test_one_instance_after_another_is_one_agent() -> None:
     team = Team()
     team.auditor.look()
@@ -182,7 +188,7 @@ def eavesdropped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         def start(*arguments: str | Path, name: str) -> Started:
             return stack.enter_context(started(*arguments, cwd=cwd, name=name))
 
-        place = ("--run", RUN, "--listen", endpoint, "--out", cwd / "run")
+        place = ("--open", "--run", RUN, "--listen", endpoint, "--out", cwd / "run")
         sim = start("sim", "transport", *place, *settings(values), name="sim")
         sim.wait_until(lambda: "waiting for" in sim.output.read_text(), "the simulator")
         heard: list[bytes] = []

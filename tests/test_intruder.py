@@ -47,7 +47,7 @@ def carry(cwd: Path, *, attack: bool) -> Attacked:
         def start(*arguments: str | Path, name: str) -> Started:
             return stack.enter_context(started(*arguments, cwd=cwd, name=name))
 
-        place = ("--run", RUN, "--listen", endpoint, "--out", cwd / "run")
+        place = ("--open", "--run", RUN, "--listen", endpoint, "--out", cwd / "run")
         sim = start("sim", "transport", *place, *settings(VALUES), name="sim")
         sim.wait_until(lambda: "waiting for" in sim.output.read_text(), "the simulator")
         followers = {arm: start("follower", "--arm", arm, *agent, name=arm) for arm in ("a1", "a2")}

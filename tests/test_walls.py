@@ -166,7 +166,7 @@ def test_a_launched_follower_is_told_its_arm_and_its_law_and_nothing_of_the_othe
     assert isinstance(second, list)
     assert [word.replace("a1", "a2") for word in first] == second
     options = {word for word in first if word.startswith("--")}
-    told = {"--arm", "--arm-model", "--controller", "--handover-s", "--set", "--run", "--connect"}
+    told = {"--credential", "--arm", "--arm-model", "--controller", "--handover-s", "--set", "--run", "--connect"}
     assert options <= told | {"--walls", "--with-parent"}
     assert first[first.index("--run") + 1] == "carry"  # not the scenario's name
 
