@@ -65,9 +65,12 @@ class Server:
         named: the scenario.
         run: name of the run, part of every key.
         folder: where the run's files go.
+        names_proven: whether credentials stand behind the agents' names; for the audit.
     """
 
-    def __init__(self, link: Link, named: NamedScenario, run: str, folder: RunFolder) -> None:
+    def __init__(
+        self, link: Link, named: NamedScenario, run: str, folder: RunFolder, *, names_proven: bool = False
+    ) -> None:
         self._named, self._run_name, self._folder = named, run, folder
         self._scenario = named.scenario
         self._world: World = build_world(self._scenario)
@@ -76,7 +79,12 @@ class Server:
         self._reception = Reception(link, keys, self._invitations(), self._report)
         seen = self._reception.tallies.of(OBSERVERS, keys.progress, "to")
         self._progress = CountedPublisher(link.publisher(keys.progress), seen)
-        self._auditor = Auditor(link, keys, {name: self._reception.keys_of(name) for name in self._reception.agents})
+        self._auditor = Auditor(
+            link,
+            keys,
+            {name: self._reception.keys_of(name) for name in self._reception.agents},
+            names_proven=names_proven,
+        )
         leader = self._scenario.leader
         self._clock = LockStep(
             self._reception,
