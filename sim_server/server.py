@@ -85,6 +85,7 @@ class Server:
             {name: self._reception.keys_of(name) for name in self._reception.agents},
             names_proven=names_proven,
         )
+        leader = self._scenario.leader
         self._clock = LockStep(
             self._reception,
             self._plant,
