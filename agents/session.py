@@ -81,7 +81,7 @@ class AgentSession:
             return welcome
         raise AgentError(
             f"{self._hello.name}: no simulator answered on {self._keys.hello} within {timeout_s:g} s; expected one "
-            f"that runs {self._hello.run!r}"
+            f"that runs {self._hello.run!r} and lets this credential in (one that was revoked or replaced is not heard)"
         )
 
     def receive(self, timeout_s: float) -> State | LeaderView | None:

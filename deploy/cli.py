@@ -20,6 +20,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from deploy.chaos.commands import app as chaos_app
+from deploy.credentials_cli import credentials, router
 from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import Interrupted, end_with_parent, raise_on_signals
 from deploy.settings import scenario_changes, tables
@@ -36,11 +38,20 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+app.add_typer(chaos_app, name="chaos")
+
 ScenarioName = Annotated[str, typer.Argument(help="A scenario's name (see `palanquin scenarios`) or a TOML file.")]
 Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value (TOML).")]
 RunName = Annotated[str, typer.Option("--run", help="Name of the run.")]
 Connect = Annotated[str, typer.Option("--connect", help="Address of the simulator.")]
+OwnCredential = Annotated[
+    str | None, typer.Option("--credential", metavar="DIR", help="This process's credential; - reads a line of stdin.")
+]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
+Walls = Annotated[
+    bool,
+    typer.Option("--walls", help="Shut this process in: its working folder and the simulator's port only (Linux)."),
+]
 
 
 @app.callback(invoke_without_command=True)
@@ -64,6 +75,8 @@ def run(
     from deploy.report import PatientConsole, progress_display
     from sim_server.scenario_files import load_scenario
     from sim_server.server import check_world, default_folder
+    from wire.access import Role
+    from wire.credentials import for_one_run
     from wire.zenoh_link import free_endpoint, open_client
 
     arguments = ["--seed", str(seed)] if seed is not None else []
@@ -79,13 +92,14 @@ def run(
     console = PatientConsole()
     endpoint = free_endpoint()
     # The run's name is told to the followers; a scenario's name may say what no follower may know.
-    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder)
+    guests = for_one_run([*named.scenario.arms, Role.LEADER, Role.OPERATOR])
+    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests)
     problem = ""
     try:
         launcher.start()
         if launcher.sim.process.poll() is not None:
             fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
-        with open_client(endpoint) as link, progress_display(console) as show:
+        with open_client(endpoint, guests.of(Role.OPERATOR)) as link, progress_display(console) as show:
             try:
                 ended = launcher.watch(link, show)
                 if launcher.sim.process.poll() is None:
@@ -133,28 +147,44 @@ def sim(
     scenario: ScenarioName,
     run: Annotated[str | None, typer.Option("--run", help="Name of the run; the scenario's by default.")] = None,
     listen: Annotated[str, typer.Option(help="Address to listen on.")] = DEFAULT_ENDPOINT,
+    connect_router: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Be a client of this router instead of listening.")
+    ] = None,
+    credentials: Annotated[
+        str | None, typer.Option(metavar="DIR", help="The simulator's credential, DIR/sim; - reads a line of stdin.")
+    ] = None,
+    open_: Annotated[
+        bool, typer.Option("--open", help="No access rules: anyone on this machine may listen and command.")
+    ] = False,
+    insecure_network: Annotated[
+        bool, typer.Option("--insecure-network", help="Listen to other machines without certificates.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed.")] = None,
     set_: Settings = None,
     with_parent: WithParent = False,
 ) -> None:
     """Start the simulator of a scenario and wait for its agents."""
+    from deploy.links import OPEN_MEANS, open_sim_link
     from sim_server.run_folder import RunFolder
     from sim_server.scenario_files import load_scenario
     from sim_server.server import Server, check_world, default_folder
-    from wire.zenoh_link import open_server
 
     _log_to_stderr()
     named = load_scenario(scenario, scenario_changes(seed, set_))
     check_world(named)
     name = run or _run_name(named.name)
-    with open_server(listen) as link:
+    with open_sim_link(
+        name, listen, connect_router, credentials, is_open=open_, insecure_network=insecure_network
+    ) as link:
         folder = RunFolder(out or default_folder(Path("runs"), named.name))
-        server = Server(link, named, name, folder)
+        server = Server(link, named, name, folder, names_proven=not open_)
         _stop_on_signals(server.stop)
         if with_parent:
             end_with_parent(lambda: _stop_or_exit(server.stop), even_if_stopped=False)
-        print(f"run {name} at {listen}, waiting for {', '.join(named.scenario.arms)}", flush=True)
+        if open_:
+            print(f"open: {OPEN_MEANS}")
+        print(f"run {name} at {connect_router or listen}, waiting for {', '.join(named.scenario.arms)}", flush=True)
         outcome = server.run()
     print(f"{outcome.verdict}: {outcome.why}; run folder: {folder.path}", flush=True)
     raise typer.Exit(OF_VERDICT[outcome.verdict])
@@ -169,22 +199,28 @@ def follower(
     controller: Annotated[str, typer.Option(help="A law's name, or module:Class for your own.")] = "paper",
     handover_s: Annotated[float, typer.Option(min=0.0, help="Time over which the law takes the load over.")] = 1.0,
     set_: Settings = None,
+    walls: Walls = False,
+    credential: OwnCredential = None,
     with_parent: WithParent = False,
 ) -> None:
     """Start one follower: the control process of one arm."""
     from agents.follower import FollowerSettings, run_follower
+    from deploy.links import own_credential
     from wire.keys import Keys
     from wire.zenoh_link import open_client
 
     _log_to_stderr()
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
+    own = own_credential(credential, arm)
+    if walls:  # all of ours is loaded, nothing of the user's
+        _raise_walls(connect)
     gains = tables(set_ or [])
     settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s)
     Keys(run).arm(arm)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
     _leave_on_signals()
-    with open_client(connect) as link:
+    with open_client(connect, own) as link:
         print(f"{arm}: {run_follower(link, settings)}")
 
 
@@ -197,21 +233,31 @@ def leader(
     stiffness: Annotated[float, typer.Option("--stiffness-N-m", min=0.0)] = 100.0,
     damping: Annotated[float, typer.Option("--damping-Ns-m", min=0.0)] = 320.0,
     point: Annotated[str, typer.Option(help="Point of the load that is pulled.")] = "front",
+    walls: Walls = False,
+    credential: OwnCredential = None,
     with_parent: WithParent = False,
 ) -> None:
     """Start the leader: it sees the load, knows the goal, and pulls."""
     from agents.leader import LeaderSettings, run_leader
+    from deploy.links import own_credential
     from wire.keys import Keys
     from wire.zenoh_link import open_client
 
     _log_to_stderr()
+    own = own_credential(credential, "leader")
+    if walls:
+        _raise_walls(connect)
     Keys(run)
     settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
     _leave_on_signals()
-    with open_client(connect) as link:
+    with open_client(connect, own) as link:
         print(f"leader: {run_leader(link, settings)}")
+
+
+app.command()(credentials)
+app.command()(router)
 
 
 @app.command()
@@ -234,6 +280,17 @@ def metrics(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run fo
     print_metrics(Console(), found, judged)
 
 
+@app.command()
+def audit(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]) -> None:
+    """Say who heard what in a run, and whether any key reached two agents."""
+    from deploy.audit_report import print_audit
+    from sim_server.run_folder import read_audit
+
+    found = read_audit(folder)
+    print_audit(Console(), found, folder)
+    raise typer.Exit(OF_VERDICT.get(found["verdict"], COULD_NOT_RUN))
+
+
 def _run_name(name: str) -> str:
     """A scenario's name as part of a key."""
     kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower()).strip("-")
@@ -247,6 +304,13 @@ def _log_to_stderr() -> None:
 def _stop_on_signals(stop: Callable[[], None]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stop())
+
+
+def _raise_walls(connect: str) -> None:
+    from deploy.walls import SAYS, raise_walls
+    from wire.endpoints import parse_endpoint
+
+    print(SAYS + raise_walls(parse_endpoint(connect).port, Path.cwd()), flush=True)
 
 
 def _leave_on_signals() -> None:

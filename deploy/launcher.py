@@ -14,12 +14,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.room import Rooms, room_environment
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario
+from wire.access import Role
 from wire.codec import decode, encode
+from wire.credentials import STDIN, Guests, credential_line, guests_line
 from wire.keys import Keys
 from wire.link import Link
 from wire.messages import Order, Progress
@@ -67,41 +71,64 @@ class Launcher:
         run: name of the run.
         endpoint: a free address for the simulator.
         folder: the run folder.
+        guests: credentials of everybody. Each process is handed its own over its standard input, so that none of
+            them ever is in a file, an argument or an environment that others could read.
     """
 
     def __init__(
-        self, scenario_arguments: Sequence[str], scenario: Scenario, run: str, endpoint: str, folder: Path
+        self,
+        scenario_arguments: Sequence[str],
+        scenario: Scenario,
+        run: str,
+        endpoint: str,
+        folder: Path,
+        guests: Guests,
     ) -> None:
         self._scenario_arguments, self._scenario = scenario_arguments, scenario
-        self._run, self._endpoint, self._folder = run, endpoint, folder
+        self._run, self._endpoint, self._folder, self._guests = run, endpoint, folder, guests
         self._children: list[Child] = []
         self._logs = folder / LOGS
+        self._rooms = Rooms()
 
     def start(self) -> None:
         """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
         self._logs = claim_logs(self._folder)
         common = ["--run", self._run, "--with-parent"]
         place = ["--listen", self._endpoint, "--out", str(self._folder)]
-        self._spawn("sim", ["sim", *common, *place, *self._scenario_arguments])
+        to_sim = ["--credentials", STDIN]
+        self._spawn("sim", ["sim", *common, *place, *to_sim, *self._scenario_arguments], guests_line(self._guests))
         self.wait_until_listening()
-        agent = [*common, "--connect", self._endpoint]
+        agent = [*common, "--walls", "--connect", self._endpoint, "--credential", STDIN]
         for arm in self._scenario.arms:
-            self._spawn(arm, ["follower", "--arm", arm, *follower_arguments(self._scenario), *agent])
+            arguments = ["follower", "--arm", arm, *follower_arguments(self._scenario), *agent]
+            self._spawn(arm, arguments, self._line(arm), self._rooms.make())
         if self._scenario.leader is not None:
-            self._spawn("leader", ["leader", *leader_arguments(self._scenario), *agent])
+            arguments = ["leader", *leader_arguments(self._scenario), *agent]
+            self._spawn("leader", arguments, self._line(Role.LEADER), self._rooms.make())
 
-    def _spawn(self, name: str, arguments: Sequence[str]) -> None:
+    def _line(self, name: str) -> bytes:
+        return credential_line(self._guests.of(name))
+
+    def _spawn(self, name: str, arguments: Sequence[str], secret: bytes, room: Path | None = None) -> None:
+        """Start a process; one with a ``room`` gets nothing else of this machine than that."""
         log = self._logs / f"{name}.log"
+        environment = room_environment(os.environ, room, Path.cwd()) if room else os.environ
         with log.open("wb") as output:
             process = subprocess.Popen(
                 [sys.executable, "-m", "deploy.cli", *arguments],
+                cwd=room,
                 stdin=subprocess.PIPE,
-                stdout=output,
+                stdout=subprocess.PIPE if room else output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env=child_environment(os.environ),
+                env=child_environment(environment),
             )
+        self._rooms.keep_log(process, log)
         self._children.append(Child(name, process, log))
+        if process.stdin is not None:
+            with suppress(BrokenPipeError):  # it has ended already, and its log says why
+                process.stdin.write(secret)
+                process.stdin.flush()
 
     def wait_until_listening(self) -> None:
         """Until the simulator's port is open, or the simulator has ended."""
@@ -167,6 +194,7 @@ class Launcher:
         for child in self._children:
             if child.process.stdin is not None:
                 child.process.stdin.close()
+        self._rooms.clear()
 
 
 def follower_arguments(scenario: Scenario) -> list[str]:

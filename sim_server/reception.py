@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from sim_server.tally import OPERATOR, STRANGERS, CountedPublisher, Tallies
 from wire.codec import decode_any, encode
 from wire.errors import Reason, Refused
 from wire.keys import ANY_HELLO, ArmKeys, Keys
 from wire.lifecycle import AgentLink, Invitation, Phase
 from wire.link import Link, Publisher, Question
-from wire.messages import Goodbye, Hello, Refusal, Vector, Welcome
+from wire.messages import Goodbye, Hello, Message, Refusal, Vector, Welcome
 
 LEADER = "leader"
 STRANGERS_KEPT = 100
@@ -77,29 +78,43 @@ class Reception:
         self._keys, self._report = keys, report
         self.inbox: queue.SimpleQueue[Arrived] = queue.SimpleQueue()
         self.agents: dict[str, Agent] = {}
+        self.tallies = Tallies()
         self.strangers: dict[str, int] = {}
         """Refusals of those who are nobody here, by run, name and reason."""
         for invitation, terms in invitations:
             name = invitation.name
-            theirs = self._keys_of(name)
-            self.agents[name] = Agent(AgentLink(invitation), terms, link.publisher(theirs.state))
-            link.subscribe(theirs.command, self._putter("answer", name))
-            link.watch_alive(theirs.alive, self._on_alive(name))
+            theirs = self.keys_of(name)
+            publisher = CountedPublisher(link.publisher(theirs.state), self.tallies.of(name, theirs.state, "to"))
+            self.agents[name] = Agent(AgentLink(invitation), terms, publisher)
+            link.subscribe(theirs.command, self._putter("answer", name, theirs.command))
+            link.watch_alive(theirs.alive, self._on_alive(name, theirs.alive))
         for expression in ANY_HELLO:
             link.answer_queries(expression, lambda question: self.inbox.put(Arrived("question", "", b"", question)))
-        link.subscribe(keys.order, self._putter("order", ""))
+        link.subscribe(keys.order, self._putter("order", "", keys.order))
         link.declare_alive(keys.sim_alive)
 
-    def _keys_of(self, name: str) -> ArmKeys:
+    def keys_of(self, name: str) -> ArmKeys:
+        """An agent's own keys."""
         return self._keys.leader if name == LEADER else self._keys.arm(name)
 
-    def _putter(self, kind: Kind, name: str) -> Callable[[bytes], None]:
-        inbox = self.inbox
-        return lambda payload: inbox.put(Arrived(kind, name, payload))
+    def _putter(self, kind: Kind, name: str, key: str) -> Callable[[bytes], None]:
+        inbox, tally = self.inbox, self.tallies.of(name or OPERATOR, key, "from")
 
-    def _on_alive(self, name: str) -> Callable[[bool], None]:
-        inbox = self.inbox
-        return lambda alive: inbox.put(Arrived("alive" if alive else "gone", name))
+        def take(payload: bytes) -> None:
+            tally.messages += 1
+            tally.size_bytes += len(payload)
+            inbox.put(Arrived(kind, name, payload))
+
+        return take
+
+    def _on_alive(self, name: str, key: str) -> Callable[[bool], None]:
+        inbox, tally = self.inbox, self.tallies.of(name, key, "from")
+
+        def take(alive: bool) -> None:
+            tally.messages += 1
+            inbox.put(Arrived("alive" if alive else "gone", name))
+
+        return take
 
     @property
     def followers(self) -> dict[str, Agent]:
@@ -125,6 +140,15 @@ class Reception:
         """Reply to a greeting or a goodbye; the name of an agent that left, or None."""
         name = self._named(question.key)
         agent = self.agents.get(name)
+        ours = agent is not None and question.key == self.keys_of(name).hello
+        whose = (name, question.key) if ours else (STRANGERS, "*/hello")  # one row: a flood of names must not fill it
+        self.tallies.of(*whose, "from").add(question.payload)
+
+        def reply(message: Message) -> None:
+            payload = encode(message)
+            self.tallies.of(*whose, "to").add(payload)
+            question.reply(payload)
+
         try:
             message = decode_any(question.payload)
             run = question.key.split("/")[1]
@@ -134,7 +158,7 @@ class Reception:
                 raise Refused(Reason.ARM, "name", name, "an arm of this run")
             if isinstance(message, Goodbye):
                 agent.link.goodbye(message)
-                question.reply(encode(message))
+                reply(message)
                 self._report("left", agent=name)
                 return name
             if not isinstance(message, Hello):
@@ -143,11 +167,11 @@ class Reception:
         except Refused as refusal:
             run = question.key.split("/")[1]
             self.refuse(name if run == self._keys.run else f"{run}/{name}", refusal)
-            question.reply(encode(Refusal(refusal.reason, str(refusal))))
+            reply(Refusal(refusal.reason, str(refusal)))
             return None
         agent.hello = message
         terms = agent.terms
-        question.reply(encode(Welcome(lease, terms.clock, terms.period_ns, terms.points, terms.force_max_N)))
+        reply(Welcome(lease, terms.clock, terms.period_ns, terms.points, terms.force_max_N))
         return None
 
     @staticmethod

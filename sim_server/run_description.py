@@ -46,11 +46,16 @@ def describe_run(
         "versions": versions(),
         "started_at": ending.started_at.isoformat(timespec="seconds"),
         "ended": {"completed": ending.completed, "why": ending.why, "ticks": plant.tick},
-        "agents": {name: _agent(agent) for name, agent in reception.agents.items()},
+        "agents": describe_agents(reception),
         "strangers_refused": reception.strangers,
         "facts": _facts(plant.world),
         "measured": _measured(plant.time_s, timings, reception.refused(), ending.wall_s),
     }
+
+
+def describe_agents(reception: Reception) -> dict[str, dict[str, Any]]:
+    """Every agent's process and life."""
+    return {name: _agent(agent) for name, agent in reception.agents.items()}
 
 
 def _agent(agent: Agent) -> dict[str, Any]:

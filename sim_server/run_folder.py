@@ -1,4 +1,5 @@
-"""The folder that a run leaves: run.json, metrics.json, trace.parquet, events.jsonl. (logs/ is the launcher's.)"""
+"""The folder that a run leaves: run.json, metrics.json, audit.json, trace.parquet, events.jsonl. (logs/ is the
+launcher's.)"""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from sim_server.scenario import Bound
 from sim_server.trace import read_trace
 from sim_server.verdict import Judged, judge, overall
 
-RUN, METRICS, TRACE, EVENTS, LOGS = "run.json", "metrics.json", "trace.parquet", "events.jsonl", "logs"
+RUN, METRICS, AUDIT = "run.json", "metrics.json", "audit.json"
+TRACE, EVENTS, LOGS = "trace.parquet", "events.jsonl", "logs"
 
 
 class RunFolderError(SimError):
@@ -88,14 +90,34 @@ def read_run(path: Path) -> dict[str, Any]:
     Raises:
         RunFolderError: it is no run folder.
     """
+    return _read_json(path / RUN, f"{path} is no run folder: expected a file {RUN} in it")
+
+
+def read_audit(path: Path) -> dict[str, Any]:
+    """The content of a folder's audit.json.
+
+    Raises:
+        RunFolderError: it is no run folder, or one of a run that was not audited.
+    """
+    read_run(path)
+    missing = f"{path} has no {AUDIT}: this run was recorded before runs were audited; run the scenario again"
+    found = _read_json(path / AUDIT, missing)
+    fields = (("verdict", str), ("why", list), ("looks", int), ("processes", dict), ("counts", list))
+    if wrong := [name for name, kind in fields if not isinstance(found.get(name), kind)]:
+        raise RunFolderError(f"{path / AUDIT} is no audit: {', '.join(wrong)} missing or of the wrong type")
+    return found
+
+
+def _read_json(path: Path, missing: str) -> dict[str, Any]:
+    """A JSON object; ``missing`` is what to say when there is no such file."""
     try:
-        content = json.loads((path / RUN).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RunFolderError(f"{path} is no run folder: expected a file {RUN} in it") from None
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        raise RunFolderError(missing) from None
     except (OSError, ValueError) as error:
-        raise RunFolderError(f"{path / RUN} cannot be read: {error}") from None
+        raise RunFolderError(f"{path} cannot be read: {error}") from None
     if not isinstance(content, dict):
-        raise RunFolderError(f"{path / RUN} is no run description: got a {type(content).__name__}")
+        raise RunFolderError(f"{path} cannot be read: got a {type(content).__name__}, expected an object")
     return content
 
 

@@ -12,15 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from sim_server.audit import Auditor
 from sim_server.errors import PlantFailed, ScenarioError, SimError
 from sim_server.layout import LayoutError
 from sim_server.lockstep import LockStep, Stopped
 from sim_server.metrics import tilt_deg
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import LEADER, Arrived, Reception, Terms
-from sim_server.run_description import Ending, describe_run
-from sim_server.run_folder import METRICS, RUN, RunFolder, compute_metrics, write_json
+from sim_server.run_description import Ending, describe_agents, describe_run
+from sim_server.run_folder import AUDIT, METRICS, RUN, RunFolder, compute_metrics, write_json
 from sim_server.scenario_files import NamedScenario
+from sim_server.tally import OBSERVERS, CountedPublisher
 from sim_server.trace import TraceWriter
 from sim_server.verdict import Verdict
 from sim_server.world import World, build_world
@@ -63,16 +65,26 @@ class Server:
         named: the scenario.
         run: name of the run, part of every key.
         folder: where the run's files go.
+        names_proven: whether credentials stand behind the agents' names; for the audit.
     """
 
-    def __init__(self, link: Link, named: NamedScenario, run: str, folder: RunFolder) -> None:
+    def __init__(
+        self, link: Link, named: NamedScenario, run: str, folder: RunFolder, *, names_proven: bool = False
+    ) -> None:
         self._named, self._run_name, self._folder = named, run, folder
         self._scenario = named.scenario
         self._world: World = build_world(self._scenario)
         self._plant = MujocoPlant(self._world)
         keys = Keys(run)
-        self._progress = link.publisher(keys.progress)
         self._reception = Reception(link, keys, self._invitations(), self._report)
+        seen = self._reception.tallies.of(OBSERVERS, keys.progress, "to")
+        self._progress = CountedPublisher(link.publisher(keys.progress), seen)
+        self._auditor = Auditor(
+            link,
+            keys,
+            {name: self._reception.keys_of(name) for name in self._reception.agents},
+            names_proven=names_proven,
+        )
         leader = self._scenario.leader
         self._clock = LockStep(
             self._reception,
@@ -126,7 +138,8 @@ class Server:
                 self._wait_for_agents()
             except Stopped:
                 raise NobodyCame("stopped before the first tick: nothing was recorded") from None
-            completed, why = self._run_ticks()
+            with self._auditor.watching():
+                completed, why = self._run_ticks()
             return self._conclude(completed, why)
         finally:
             self._say_end("the run is over")
@@ -185,6 +198,8 @@ class Server:
             folder / RUN,
             describe_run(self._run_name, self._named, self._plant, self._reception, self._clock.timings, ending),
         )
+        processes = describe_agents(self._reception)
+        write_json(folder / AUDIT, self._auditor.describe(self._reception.tallies, processes))
         if not self._plant.tick:
             return Outcome("unknown", completed, why)
         metrics, _ = compute_metrics(folder)

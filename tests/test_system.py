@@ -56,7 +56,7 @@ class Seen:
     folder: Path
     status: int
     said: str
-    libraries: dict[str, set[str]] = field(default_factory=dict)
+    libraries: dict[str, set[str] | None] = field(default_factory=dict)
     pids: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -64,9 +64,12 @@ class Seen:
         return (self.folder / "trace.parquet").read_bytes()
 
 
-def loaded_libraries(pid: int) -> set[str]:
-    """Which of the two engines a process has mapped."""
-    maps = Path(f"/proc/{pid}/maps").read_text()
+def loaded_libraries(pid: int) -> set[str] | None:
+    """Which of the two engines a process has mapped; None if its walls hide that from this user."""
+    try:
+        maps = Path(f"/proc/{pid}/maps").read_text()
+    except PermissionError:
+        return None
     return {library for library in ("mujoco", "pinocchio") if library in maps}
 
 
@@ -103,7 +106,7 @@ def test_a_run_that_holds_its_bounds_ends_with_status_0_and_says_so(main_run: Se
 def test_a_run_leaves_its_whole_folder_and_a_log_per_process(main_run: Seen) -> None:
     files = {path.relative_to(main_run.folder).as_posix() for path in main_run.folder.rglob("*") if path.is_file()}
     logs = {f"logs/{name}.log" for name in ("sim", "a1", "a2", "a3", "a4", "leader")}
-    assert files - {"run.png"} == {"run.json", "metrics.json", "trace.parquet", "events.jsonl"} | logs
+    assert files - {"run.png"} == {"run.json", "metrics.json", "audit.json", "trace.parquet", "events.jsonl"} | logs
 
 
 def test_every_follower_is_a_process_of_its_own(main_run: Seen) -> None:
@@ -116,9 +119,11 @@ def test_every_follower_is_a_process_of_its_own(main_run: Seen) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc")
 def test_no_follower_has_the_simulators_engine_loaded_and_the_simulator_not_theirs(main_run: Seen) -> None:
+    assert main_run.libraries["sim"] == {"mujoco"}
+    if main_run.libraries["a1"] is None:
+        pytest.skip("the walls hide a follower's memory from everybody but root")
     for arm in ("a1", "a2", "a3", "a4"):
         assert main_run.libraries[arm] == {"pinocchio"}
-    assert main_run.libraries["sim"] == {"mujoco"}
     assert main_run.libraries["leader"] == set()
 
 
@@ -358,7 +363,7 @@ def by_hand(tmp_path_factory: pytest.TempPathFactory) -> ByHand:
         return stack.enter_context(started(*agent, cwd=cwd, name=name))
 
     with ExitStack() as stack:
-        serve = ("--run", RUN, "--listen", endpoint, *settings(values))
+        serve = ("--open", "--run", RUN, "--listen", endpoint, *settings(values))
         sim = stack.enter_context(started("sim", "transport-one", "--out", seen.folder, *serve, cwd=cwd, name="sim"))
         sim.wait_until(lambda: f"run {RUN} at {endpoint}, waiting for a1" in sim.output.read_text(), "the simulator")
         seen.replies = dict(refused_greetings(endpoint))
@@ -462,7 +467,7 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        ended = run_to_end("sim", "hold", "--listen", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
+        ended = run_to_end("sim", "hold", "--open", "--listen", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
     (line,) = ended.stderr.splitlines()
     assert f"port {port} is in use" in line
     assert "--listen" in line
@@ -495,7 +500,7 @@ def test_a_run_folder_is_never_written_over(main_run: Seen, tmp_path: Path, comm
         return {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in files}
 
     before = content()
-    listen = ["--listen", f"tcp/127.0.0.1:{free_port()}"] if command == "sim" else []
+    listen = ["--open", "--listen", f"tcp/127.0.0.1:{free_port()}"] if command == "sim" else []
     ended = run_to_end(command, "transport", "--out", main_run.folder, *listen, cwd=tmp_path)
     (line,) = ended.stderr.splitlines()
     assert f"{main_run.folder} holds a run already" in line

@@ -17,11 +17,14 @@ import zenoh
 
 from sim_server.reception import Reception, Terms
 from wire import PROTOCOL_VERSION, codec, zenoh_link
+from wire.access import TABLE, Role, principal
 from wire.codec import SCHEMAS, decode, decode_any, encode
+from wire.credentials import Certificate, Credential
 from wire.errors import Reason, Refused
 from wire.keys import ANY_HELLO, Keys
 from wire.lifecycle import Invitation
 from wire.messages import MAX_INT, MAX_JOINTS, Command, End, State, Vector, Welcome
+from wire.zenoh_config import client_config
 
 PAGE = (Path(__file__).resolve().parent.parent / "docs" / "wire.md").read_text(encoding="utf-8")
 FOLLOWER_NEEDS = {"hello", "welcome", "state", "command", "refusal", "end"}
@@ -222,6 +225,28 @@ def test_the_written_configuration_is_the_one_that_our_agents_use() -> None:
         patch.setattr(zenoh_link, "_open", note)
         zenoh_link.open_client("tcp/127.0.0.1:7447")
     assert ours == CONFIGURATION
+
+
+def test_the_written_rights_are_the_table_s() -> None:
+    written = [
+        (row[0], tuple(code(row[1])), code(row[2])[0].replace("<run>", "{run}").replace("<arm>", "{arm}"))
+        for row in rows(marked("rights"))
+    ]
+    assert written == [(row.flow, row.messages, row.key) for row in TABLE if row.role is Role.FOLLOWER]
+
+
+def test_the_written_login_is_what_our_agents_add_to_it() -> None:
+    """With a password word for word; with a certificate its content in base64 instead of the paths."""
+    with_password = client_config("tcp/127.0.0.1:7447", Credential(principal("a1"), "..."))
+    added = with_password["transport"].pop("auth")
+    assert with_password == CONFIGURATION
+    assert {"transport": {"auth": added}} == json.loads(
+        marked("password").partition("```json\n")[2].partition("```")[0]
+    )
+    own = Credential(principal("a1"), "", None, Certificate("authority", "certificate", "key"))
+    tls = client_config("tls/127.0.0.1:7447", own)["transport"]["link"]["tls"]
+    written = json.loads(marked("certificate").partition("```json\n")[2].partition("```")[0])
+    assert {key.removesuffix("_base64") for key in tls} == set(written["transport"]["link"]["tls"])
 
 
 # Examples

@@ -70,3 +70,20 @@ class LinkError(WireError):
     """The link could not be opened or used: port in use, nobody there, bad address."""
 
     exit_status = 3
+
+    def __init__(self, text: str, *, exit_status: int = 3) -> None:
+        self.exit_status = exit_status
+        super().__init__(text)
+
+
+class LoginRefused(LinkError):
+    """Somebody listens there but does not let this credential in."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text, exit_status=2)
+
+
+class CredentialError(WireError):
+    """A credential is not there, not usable, or somebody else's."""
+
+    exit_status = 2

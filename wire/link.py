@@ -5,9 +5,34 @@ Handlers run on threads of the transport: they hand over and return, and never c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Literal, Protocol, Self
+
+Kind = Literal["subscriber", "publisher", "queryable", "token"]
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """That a session of another process wants to hear, say, answer or show something, as the transport knows it."""
+
+    session: str
+    """The transport's own number of that session."""
+    kind: Kind
+    expression: str
+    """As the session asked for it; it may hold wildcards."""
+    keys: tuple[str, ...]
+    """Of the keys that were asked about, those that it reaches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Census:
+    """Who is connected, and who has declared what. No agent can answer this for us: the transport does."""
+
+    addresses: dict[str, str]
+    """Session to the address that it came from."""
+    declared: tuple[Declared, ...]
 
 
 class Question(Protocol):
@@ -52,6 +77,11 @@ class Link(Protocol):
     def watch_alive(self, key: str, handler: Callable[[bool], None]) -> None:
         """Call ``handler`` with True when a sign of life appears on ``key`` (now, if it is there), with False when it
         goes."""
+        ...
+
+    def census(self, keys: Sequence[str]) -> Census | None:
+        """Who is connected and has declared what, seen from this session, which itself is left out; None if the
+        transport does not tell."""
         ...
 
     def close(self) -> None: ...

@@ -5,11 +5,12 @@ Delivery is immediate and on the caller's thread; what is put without a subscrib
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
 from wire.errors import MisuseError
+from wire.link import Census, Declared, Kind
 
 
 def key_matches(expression: str, key: str) -> bool:
@@ -29,6 +30,7 @@ class Broker:
         self.queryables: list[tuple[MemoryLink, str, Callable[[MemoryQuestion], None]]] = []
         self.watchers: list[tuple[MemoryLink, str, Callable[[bool], None]]] = []
         self.tokens: list[tuple[MemoryLink, str]] = []
+        self.publishers: list[tuple[MemoryLink, str]] = []
 
     def link(self) -> MemoryLink:
         """A new session."""
@@ -78,6 +80,7 @@ class MemoryLink:
 
     def publisher(self, key: str) -> MemoryPublisher:
         self.check_open()
+        self._broker.publishers.append((self, key))
         return MemoryPublisher(self, self._broker, key)
 
     def subscribe(self, key: str, handler: Callable[[bytes], None]) -> None:
@@ -117,6 +120,21 @@ class MemoryLink:
             if watched == key:
                 handler(alive)
 
+    def census(self, keys: Sequence[str]) -> Census | None:
+        broker = self._broker
+        found: list[tuple[MemoryLink, Kind, str]] = [
+            *((owner, "subscriber", expression) for owner, expression, _ in broker.subscribers),
+            *((owner, "publisher", key) for owner, key in broker.publishers),
+            *((owner, "queryable", expression) for owner, expression, _ in broker.queryables),
+            *((owner, "token", key) for owner, key in broker.tokens),
+        ]
+        declared = tuple(
+            Declared(str(id(owner)), kind, expression, tuple(key for key in keys if key_matches(expression, key)))
+            for owner, kind, expression in found
+            if owner is not self
+        )
+        return Census({each.session: "memory" for each in declared}, declared)
+
     def close(self) -> None:
         """End the session: its declarations go, and those who watch its tokens are told."""
         self.is_open = False
@@ -124,6 +142,7 @@ class MemoryLink:
         broker.subscribers = [entry for entry in broker.subscribers if entry[0] is not self]
         broker.queryables = [entry for entry in broker.queryables if entry[0] is not self]
         broker.watchers = [entry for entry in broker.watchers if entry[0] is not self]
+        broker.publishers = [entry for entry in broker.publishers if entry[0] is not self]
         gone = [key for owner, key in broker.tokens if owner is self]
         broker.tokens = [entry for entry in broker.tokens if entry[0] is not self]
         still = {key for _, key in broker.tokens}

@@ -1,39 +1,38 @@
 """The one door to Zenoh: sessions whose configuration keeps agents apart, behind the interface of wire/link.py.
 
 The simulator is a peer that listens and neither gossips nor scouts; an agent is a client with one connection and no
-listener. Why each setting: docs/wire.md, section "Transport".
+listener. What each is told: wire/zenoh_config.py.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import socket
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import zenoh
 
-from wire.errors import LinkError
+from wire.credentials import Credential, Guests
+from wire.endpoints import check_stays_here_or_is_proven, parse_endpoint
+from wire.errors import CredentialError, LinkError, LoginRefused
+from wire.link import Census, Declared, Kind
+from wire.zenoh_config import client_config, open_server_config, passwords, server_config, uses_certificates
 
-_COMMON: dict[str, Any] = {
-    "scouting": {"multicast": {"enabled": False, "autoconnect": []}, "gossip": {"enabled": False}},
-    "timestamping": {"enabled": False},
-    "adminspace": {"enabled": False},
-    "transport": {
-        "unicast": {"qos": {"enabled": False}, "lowlatency": False, "open_timeout": 2000, "accept_timeout": 2000},
-        "link": {
-            "tx": {
-                "lease": 500,
-                "keep_alive": 4,
-                "queue": {
-                    "congestion_control": {"drop": {"wait_before_drop": 1000}, "block": {"wait_before_close": 50000}}
-                },
-            }
-        },
-        "shared_memory": {"enabled": False},
-    },
-}
+CENSUS_S = 2.0
+"""How long to wait for what our own session knows; it takes less than a millisecond."""
+
+REFUSALS_ARE_NO_ACCIDENT = 3
+"""Openings in a row that somebody who listens there ended at once: a login that is refused, not one lost in a rush."""
+AT_ONCE_S = 1.0
+RETRY_S = 0.05
+MOST_PASSWORDS_BYTES = 60_000
+"""What a pipe takes without a reader."""
 
 
 def free_endpoint() -> str:
@@ -43,75 +42,115 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-def open_server(endpoint: str) -> ZenohLink:
+def open_server(
+    endpoint: str, guests: Guests | None = None, run: str = "", *, insecure_network: bool = False
+) -> ZenohLink:
     """The simulator's session, listening on ``endpoint`` (for example ``tcp/127.0.0.1:7447``).
 
+    Args:
+        guests: whom to let in, each to its own keys of ``run``; without, everybody may hear and command everything.
+        insecure_network: listen where other machines can reach it, without certificates.
+
     Raises:
-        LinkError: the address is bad or in use.
+        LinkError: the address is bad, in use, or open to other machines without certificates.
+        CredentialError: a ``tls/`` address, and no certificate.
     """
-    _check_can_listen(endpoint)
-    return _open(
-        {**_COMMON, "mode": "peer", "listen": {"endpoints": [endpoint]}, "connect": {"endpoints": []}}, endpoint
-    )
+    address = parse_endpoint(endpoint)
+    address.check_can_listen()
+    check_stays_here_or_is_proven(address, has_credentials=guests is not None, insecure_network=insecure_network)
+    if guests is None:
+        if uses_certificates(endpoint):
+            raise CredentialError(f"{endpoint}: a tls/ address needs a certificate: give the simulator's credentials")
+        return _open(open_server_config(endpoint), endpoint)
+    with _readable_once(passwords(guests)) as file:
+        return _open(server_config(endpoint, guests, run, file), endpoint)
 
 
-def open_client(endpoint: str, *, timeout_s: float = 10.0) -> ZenohLink:
+def open_router(config_file: Path) -> ZenohLink:
+    """A session that stands between simulator and agents, as ``palanquin credentials --router-config`` describes it.
+
+    Raises:
+        LinkError: the file is not such a configuration, or its address is in use.
+    """
+    try:
+        text = config_file.read_text(encoding="utf-8")
+        (endpoint,) = json.loads(zenoh.Config.from_json5(text).get_json("listen/endpoints"))
+        parse_endpoint(endpoint).check_can_listen()
+        return _open(text, endpoint)
+    except (OSError, UnicodeDecodeError, zenoh.ZError, TypeError, ValueError, AttributeError) as error:
+        raise LinkError(
+            f"{config_file}: not a router's configuration ({str(error).splitlines()[0]}); make one with `palanquin "
+            "credentials DIR --router-config FILE --run NAME`",
+            exit_status=2,
+        ) from error
+
+
+def open_client(endpoint: str, credential: Credential | None = None, *, timeout_s: float = 10.0) -> ZenohLink:
     """An agent's session: one connection to ``endpoint``, no listener. It reconnects by itself.
 
     Raises:
         LinkError: the address is bad, or nobody answered there within ``timeout_s``.
+        LoginRefused: somebody did, and refused this credential, or the lack of one.
+        CredentialError: a ``tls/`` address, and no certificate.
     """
-    _parse(endpoint)
-    connect = {
-        "endpoints": [endpoint],
-        "timeout_ms": int(timeout_s * 1000),
-        "exit_on_failure": True,
-        "retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
-    }
-    return _open({**_COMMON, "mode": "client", "listen": {"endpoints": []}, "connect": connect}, endpoint)
+    address = parse_endpoint(endpoint)
+    config = client_config(endpoint, credential)
+    deadline = time.monotonic() + timeout_s
+    refusals = 0
+    while True:
+        started = time.monotonic()
+        try:
+            return _open(config, endpoint)
+        except LinkError as error:
+            at_once = time.monotonic() - started < AT_ONCE_S
+            refusals = refusals + 1 if at_once and address.somebody_listens() else 0
+            if refusals >= REFUSALS_ARE_NO_ACCIDENT:
+                raise LoginRefused(_refused(endpoint, credential)) from error
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(RETRY_S)
 
 
-def _open(config: dict[str, Any], endpoint: str) -> ZenohLink:
-    zenoh.init_log_from_env_or("off")
+def _refused(endpoint: str, credential: Credential | None) -> str:
+    if credential is None:
+        return (
+            f"who listens at {endpoint} refused this process: it asks for a credential (give its folder with "
+            "--credential; `palanquin credentials` makes them), or is no simulator"
+        )
+    return (
+        f"who listens at {endpoint} refused the credential of {credential.who.name}: not made for this simulator, "
+        "revoked, replaced or expired there, or the address is not the simulator's"
+    )
+
+
+@contextmanager
+def _readable_once(text: str) -> Iterator[str]:
+    """The name of a file with this text that never is on a disk: the end of a pipe."""
+    content = text.encode()
+    if len(content) > MOST_PASSWORDS_BYTES:
+        raise CredentialError(f"{len(content)} bytes of passwords, expected at most {MOST_PASSWORDS_BYTES}")
+    reading, writing = os.pipe()
     try:
-        return ZenohLink(zenoh.open(zenoh.Config.from_json5(json.dumps(config))))
+        os.write(writing, content)
+        os.close(writing)
+        yield f"/dev/fd/{reading}"
+    finally:
+        os.close(reading)
+
+
+def _open(config: Mapping[str, Any] | str, endpoint: str) -> ZenohLink:
+    zenoh.init_log_from_env_or("off")
+    text = config if isinstance(config, str) else json.dumps(config)
+    parsed = zenoh.Config.from_json5(text)
+    try:
+        return ZenohLink(zenoh.open(parsed))
     except zenoh.ZError as error:
-        if config["mode"] == "client":
+        if parsed.get_json("mode") == '"client"':
             raise LinkError(
                 f"nobody answers at {endpoint}: expected a running simulator; start it with `palanquin sim` or give "
                 "its address with --connect"
             ) from error
         raise LinkError(f"cannot listen on {endpoint}: {str(error).splitlines()[0]}") from error
-
-
-def _parse(endpoint: str) -> tuple[str, str, int]:
-    """Protocol, host and port of an endpoint. Raises :class:`LinkError` if it does not look like one."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.rpartition(":")
-    if not (protocol and host and port.isascii() and port.isdigit() and 0 < int(port) <= 65535):
-        raise LinkError(f"bad address {endpoint!r}: expected <protocol>/<host>:<port>, for example tcp/127.0.0.1:7447")
-    return protocol, host.strip("[]"), int(port)
-
-
-def _check_can_listen(endpoint: str) -> None:
-    """Say in one sentence what Zenoh would say in many. Only tcp endpoints are looked at."""
-    protocol, host, port = _parse(endpoint)
-    if protocol != "tcp":
-        return
-    try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    except (socket.gaierror, UnicodeError) as error:  # the second for a host name that cannot be one
-        raise LinkError(f"bad address {endpoint!r}: host {host!r} is unknown ({error})") from error
-    family, kind, number, _, where = found[0]
-    with socket.socket(family, kind, number) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(where)
-        except OSError as error:
-            raise LinkError(
-                f"cannot listen on {endpoint}: port {port} is in use or not ours ({error.strerror}); stop the other "
-                "program or choose another port with --listen"
-            ) from error
 
 
 class ZenohQuestion:
@@ -179,6 +218,29 @@ class ZenohLink:
 
         callback = zenoh.handlers.Callback(deliver, indirect=False)
         self._declared.append(self._session.liveliness().declare_subscriber(key, callback, history=True))
+
+    def census(self, keys: Sequence[str]) -> Census | None:
+        own = str(self._session.info.zid())
+        asked = [(key, zenoh.KeyExpr(key)) for key in keys]
+        addresses: dict[str, str] = {}
+        declared: list[Declared] = []
+        replies = [reply.ok for reply in self._session.get(f"@/{own}/**", timeout=CENSUS_S)]
+        for reply in replies:
+            chunks = str(reply.key_expr).split("/") if reply is not None else []
+            if reply is None or len(chunks) < 5:
+                continue
+            if chunks[2:5] == ["session", "transport", "unicast"]:
+                if len(chunks) > 7:
+                    addresses[chunks[5]] = str(json.loads(reply.payload.to_bytes())["dst"])
+            elif chunks[3] in ("subscriber", "publisher", "queryable", "token"):
+                expression = zenoh.KeyExpr("/".join(chunks[4:]))
+                reached = tuple(key for key, exact in asked if expression.intersects(exact))
+                sources: dict[str, list[str]] = json.loads(reply.payload.to_bytes())
+                declared += [
+                    Declared(session, cast(Kind, chunks[3]), str(expression), reached)
+                    for session in sorted({zid for zids in sources.values() for zid in zids} - {own})
+                ]
+        return Census(addresses, tuple(declared)) if replies else None
 
     def close(self) -> None:
         for declared in self._declared:

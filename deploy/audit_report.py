@@ -1,0 +1,59 @@
+"""What ``palanquin audit`` prints: who took part, what crossed the simulator's edge, who heard what, the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from deploy.report import VERDICT_STYLE
+from deploy.walls import walls_in_log
+from sim_server.run_folder import LOGS
+
+WAYS = {"to": "sim -> agent", "from": "agent -> sim"}
+
+
+def print_audit(console: Console, audit: Mapping[str, Any], folder: Path) -> None:
+    """Three tables and the verdict with its reasons."""
+    processes = _table("agent", "process", "host", "lease")
+    walls: dict[str, list[str]] = {}
+    for name, process in audit["processes"].items():
+        processes.add_row(name, *(_shown(process.get(what)) for what in ("pid", "host", "lease")))
+        walls.setdefault(walls_in_log(folder / LOGS / f"{name}.log") or "not told", []).append(name)
+    console.print(processes, "")
+    for told, names in walls.items():
+        console.print(f"walls around {', '.join(names)}, as they say: {escape(told)}", soft_wrap=True, highlight=False)
+    console.print()
+
+    counts = _table("agent", "key", "direction", "messages", "bytes")
+    for row in sorted(audit["counts"], key=lambda row: (row["agent"], row["key"], row["direction"])):
+        way = WAYS[row["direction"]]
+        counts.add_row(row["agent"], escape(row["key"]), way, f"{row['messages']:,}", f"{row['bytes']:,}")
+    console.print(counts, "")
+
+    heard = _table("key asked for", "heard by", "seen in looks")
+    for session in audit.get("sessions", {}).values():
+        name = " and ".join(session["agents"]) or f"no agent, {session['address']}"
+        for expression in session["heard"]:
+            heard.add_row(escape(expression), escape(name), f"{session['looks']} of {audit['looks']}")
+    console.print(heard, "")
+
+    for reason in audit["why"]:
+        console.print(f"- {escape(reason)}", soft_wrap=True, highlight=False)
+    verdict = audit["verdict"]
+    console.print(f"no key reached two agents: [{VERDICT_STYLE.get(verdict, 'yellow')}]{escape(verdict)}[/]")
+
+
+def _shown(value: object) -> str:
+    return "" if value is None else escape(str(value))
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in columns:
+        table.add_column(column, justify="right" if column in ("messages", "bytes", "lease") else "left")
+    return table

@@ -1,0 +1,1 @@
+"""Faults and attacks on purpose, and what came of them."""

@@ -1,0 +1,41 @@
+"""The configuration of a router that stands between simulator and agents, for ``palanquin router`` or a `zenohd`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from deploy.credential_store import CredentialStore
+from wire.access import Role
+from wire.credentials import Guests
+from wire.endpoints import check_stays_here_or_is_proven, parse_endpoint
+from wire.private_files import write_private
+from wire.zenoh_config import passwords, server_config, uses_certificates
+
+HEAD = """\
+// Router between simulator and agents of the run {run!r}. Made by `palanquin credentials --router-config`: make it anew
+// after every --revoke, --rotate or new arm. It holds {secret}: keep it private.
+"""
+
+
+def write_router_file(store: CredentialStore, file: Path, run: str, listen: str) -> list[Path]:
+    """Write the configuration; with passwords, a second file for them beside it. Returns what was written.
+
+    Raises:
+        LinkError: other machines could reach the address, and it does not ask for certificates.
+        Refused: the run's name cannot be part of a key.
+    """
+    check_stays_here_or_is_proven(parse_endpoint(listen), has_credentials=True, insecure_network=False)
+    guests = Guests(store.credential(Role.ROUTER), (store.credential(Role.SIM), *store.admitted()))
+    file = file.absolute()
+    secret = file.with_name(file.name + ".passwords")
+    config = server_config(listen, guests, run, str(secret))
+    tls = uses_certificates(listen)
+    head = HEAD.format(run=run, secret="the router's key" if tls else f"nothing secret, but {secret.name} does")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    written = [file]
+    if not tls:
+        write_private(secret, passwords(guests))
+        written.append(secret)
+    write_private(file, head + json.dumps(config, indent=2) + "\n")
+    return written

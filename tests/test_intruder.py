@@ -1,0 +1,130 @@
+"""The intruder's attempts against an open simulator: what they give there is measured, and what is closed even there.
+
+That the same rows are closed behind access rules is worth something only if they do open what is open.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import Started, free_port, read_events, read_json, run_to_end, settings, started
+
+from deploy.chaos.attempts import Got
+from deploy.chaos.evidence import settle
+from deploy.chaos.intruder import ATTEMPTS, Row
+from deploy.chaos.target import merged
+from deploy.landlock import abi
+from deploy.launcher import leader_arguments
+from sim_server.scenario_files import load_scenario
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
+
+RUN = "attacked"
+VALUES = {"duration_s": 12.0, "team.count": 2, "load.mass_kg": 8.0}
+
+
+@dataclass
+class Attacked:
+    folder: Path
+    rows: dict[str, Row]
+
+    def named(self, is_open: bool) -> set[str]:
+        return {name for name, row in self.rows.items() if row.got.is_open is is_open}
+
+
+def carry(cwd: Path, *, attack: bool) -> Attacked:
+    """An open simulator and its agents; beside the follower of a1, an intruder inside walls."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    agent = ("--run", RUN, "--connect", endpoint)
+    rows: list[Row] = []
+    with ExitStack() as stack:
+
+        def start(*arguments: str | Path, name: str) -> Started:
+            return stack.enter_context(started(*arguments, cwd=cwd, name=name))
+
+        place = ("--open", "--run", RUN, "--listen", endpoint, "--out", cwd / "run")
+        sim = start("sim", "transport", *place, *settings(VALUES), name="sim")
+        sim.wait_until(lambda: "waiting for" in sim.output.read_text(), "the simulator")
+        followers = {arm: start("follower", "--arm", arm, *agent, name=arm) for arm in ("a1", "a2")}
+        start("leader", *agent, *leader_arguments(load_scenario("transport").scenario), name="leader")
+        if attack:
+            sim.wait_until(lambda: any(event["kind"] == "started" for event in read_events(cwd / "run")), "the start")
+            own = cwd / "own"
+            own.mkdir()
+            aim = ("--private", cwd / "run" / "events.jsonl", "--pid", str(followers["a2"].process.pid), "--walls")
+            ended = run_to_end("chaos", "intruder", "--arm", "a1", "--other", "a2", *agent, *aim, cwd=own)
+            assert ended.returncode == 0, ended.stderr
+            assert sim.process.poll() is None, "the run ended before the attack: nothing was attacked"
+            rows = [
+                Row(each.pop("name"), each.pop("way"), Got(**each))
+                for each in map(json.loads, ended.stdout.splitlines())
+            ]
+        sim.end(200)
+    (cwd / "run" / "logs").mkdir()
+    for arm in ("a1", "a2"):
+        (cwd / "run" / "logs" / f"{arm}.log").write_text((cwd / f"{arm}.err").read_text())
+    settled = settle(rows, cwd / "run", RUN, "a1")
+    return Attacked(cwd / "run", {row.name: row for row in settled})
+
+
+@pytest.fixture(scope="module")
+def attacked(tmp_path_factory: pytest.TempPathFactory) -> Attacked:
+    return carry(tmp_path_factory.mktemp("attacked"), attack=True)
+
+
+def test_an_intruder_tries_at_least_forty_things_and_each_has_an_answer(attacked: Attacked) -> None:
+    assert len(attacked.rows) == len(ATTEMPTS) >= 40
+    assert attacked.named(True) | attacked.named(False) == {attempt.name for attempt in ATTEMPTS}
+
+
+OPENS = {
+    *("hear everything", "hear all of Palanquin", "hear the whole run", "hear another arm's state"),
+    *("hear another arm's commands", "hear the leader's view of the load", "hear the truth", "ask who is alive"),
+    *("watch whether another lives", "whisper on a key of one's own", "hear as a peer", "hear as a router"),
+    *("log in without a credential", "greet as another on its key", "answer greetings for the simulator"),
+    *("command another arm", "pull as the leader", "order as the operator", "tell another a false state"),
+    *("tell another that all is over", "say goodbye for another"),
+}
+CLOSED_BY_THE_LIFE_CYCLE = {
+    *("greet as another on one's own key", "greet as the leader on one's own key", "greet a second time"),
+    *("say goodbye with a wrong lease", "command with a stale lease", "replay an old command", "flood"),
+    *("command a tick to come", "send what is no message", "send what is too long"),
+}
+
+
+def test_an_open_system_gives_an_intruder_nearly_all_that_access_rules_are_for(attacked: Attacked) -> None:
+    assert attacked.named(True) >= OPENS
+
+
+def test_what_the_protocol_refuses_is_closed_on_an_open_system_too(attacked: Attacked) -> None:
+    assert attacked.named(False) >= CLOSED_BY_THE_LIFE_CYCLE | {"read the simulator's tables"}
+    refused = read_json(attacked.folder / "run.json")["agents"]["a1"]["refused"]
+    assert {"lease", "stale", "future", "malformed", "length"} <= set(refused)
+
+
+@pytest.mark.skipif(abi() < 6, reason="this kernel's Landlock lacks a wall")
+def test_inside_walls_nothing_of_the_host_is_open(attacked: Attacked) -> None:
+    host = {row.name for row in attacked.rows.values() if row.way == "host"}
+    assert host <= attacked.named(False)
+    assert "listen for others" in attacked.named(False)
+
+
+def test_an_attack_that_only_costs_time_leaves_the_trace_as_it_was(attacked: Attacked, tmp_path: Path) -> None:
+    alone = carry(tmp_path, attack=False)
+    assert (attacked.folder / "trace.parquet").read_bytes() == (alone.folder / "trace.parquet").read_bytes()
+
+
+def test_the_audit_names_the_intruder(attacked: Attacked) -> None:
+    audit = read_json(attacked.folder / "audit.json")
+    assert audit["verdict"] == "violated"
+
+
+def test_a_credential_is_laid_over_a_session_and_takes_nothing_away() -> None:
+    below: dict[str, Any] = {"connect": {"endpoints": ["x"]}, "transport": {"link": {"tx": 1}}}
+    above: dict[str, Any] = {"transport": {"auth": {"usrpwd": {"user": "a1"}}}}
+    assert merged(below, above) == {**below, "transport": {"link": {"tx": 1}, "auth": {"usrpwd": {"user": "a1"}}}}

@@ -1,0 +1,203 @@
+"""Runs behind credentials as real processes: by hand over mutual TLS, through a router, what a launched run hides."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from processes import (
+    Started,
+    free_port,
+    launched,
+    read_json,
+    run_to_end,
+    settings,
+    started,
+)
+
+from deploy.credential_store import CredentialStore
+from deploy.launcher import leader_arguments
+from sim_server.scenario_files import load_scenario
+from wire.keys import Keys
+from wire.link import Link
+from wire.zenoh_link import open_client
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+
+RUN = "guarded"
+KEYS = Keys(RUN)
+ARMS = ("a1", "a2")
+TEAM = {"team.count": 2, "load.mass_kg": 8.0}
+
+
+@dataclass
+class Ears:
+    """What an eavesdropper with a1's credential heard, by key expression."""
+
+    heard: dict[str, list[bytes]] = field(default_factory=dict)
+
+    def listen(self, link: Link, *keys: str) -> None:
+        for key in keys:
+            self.heard[key] = []
+            link.subscribe(key, self.heard[key].append)
+
+
+@dataclass
+class Guarded:
+    """How a run behind credentials went."""
+
+    folder: Path
+    statuses: dict[str, int]
+    ears: Ears
+    wrong: dict[str, tuple[int, str]]
+
+
+def run_guarded(cwd: Path, protocol: str, *, router: bool) -> Guarded:
+    """A run by hand, with an eavesdropper, and with followers who come with the wrong credential."""
+    port = free_port()
+    endpoint = f"{protocol}/127.0.0.1:{port}"
+    store = CredentialStore.create(cwd / "team", [*ARMS, "a3"], days=1, hosts=[])
+    store.revoke("a3")
+    folder, ears = cwd / "run", Ears()
+    wrong: dict[str, tuple[int, str]] = {}
+    with ExitStack() as stack:
+
+        def start(name: str, *arguments: str | Path) -> Started:
+            return stack.enter_context(started(*arguments, cwd=cwd, name=name))
+
+        place: tuple[str | Path, ...] = ("--listen", endpoint)
+        if router:
+            file = ("--router-config", "router.json5", "--run", RUN, "--listen", endpoint)
+            made = run_to_end("credentials", "team", *file, cwd=cwd)
+            assert made.returncode == 0, made.stderr
+            between = start("router", "router", "--config", "router.json5")
+            between.wait_until(lambda: "router of router.json5" in between.said(), "the router")
+            place = ("--connect-router", endpoint)
+        serve = ("--credentials", "team/sim", "--run", RUN, *place, *settings({**TEAM, "duration_s": 1.0}))
+        sim = start("sim", "sim", "transport", "--out", folder, *serve)
+        sim.wait_until(lambda: f"run {RUN} at {endpoint}, waiting for a1" in sim.said(), "the simulator")
+
+        def follower(arm: str, folder: str, name: str) -> Started:
+            agent = ("--run", RUN, "--connect", endpoint, "--credential", folder)
+            return start(name, "follower", "--arm", arm, *agent)
+
+        strangers = {"another_arm": follower("a2", "team/a1", "another_arm")}
+        for name, stranger in strangers.items():
+            wrong[name] = stranger.end(), stranger.errors.read_text()
+        spy = stack.enter_context(open_client(endpoint, store.credential("a1")))
+        ears.listen(spy, "**", "palanquin/**", KEYS.arm("a2").state, KEYS.leader.state, f"{KEYS.root}/truth/**")
+        ear = stack.enter_context(open_client(endpoint, store.credential("a1")))
+        ears.listen(ear, KEYS.arm("a1").state)
+        observer = stack.enter_context(open_client(endpoint, store.credential("observer")))
+        ears.listen(observer, KEYS.progress)
+        team = {arm: follower(arm, f"team/{arm}", arm) for arm in ARMS}
+        scenario = load_scenario("transport").scenario
+        lead = ("--run", RUN, "--connect", endpoint, "--credential", "team/leader")
+        team["leader"] = start("leader", "leader", *lead, *leader_arguments(scenario))
+        statuses = {"sim": sim.end(), **{name: agent.end() for name, agent in team.items()}}
+    return Guarded(folder, statuses, ears, wrong)
+
+
+@pytest.fixture(
+    scope="module", params=[("tls", False), ("tcp", True), ("tls", True)], ids=["tls", "router", "router-tls"]
+)
+def guarded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Guarded:
+    protocol, router = request.param
+    return run_guarded(tmp_path_factory.mktemp("guarded"), protocol, router=router)
+
+
+def test_a_run_behind_credentials_completes_with_a_verdict(guarded: Guarded) -> None:
+    assert guarded.statuses == {"sim": 1, "a1": 0, "a2": 0, "leader": 0}  # 1: one second does not reach the goal
+    run = read_json(guarded.folder / "run.json")
+    assert run["ended"] == {"completed": True, "why": "reached its duration", "ticks": 1000}
+    assert read_json(guarded.folder / "metrics.json")["verdict"] == "violated"
+    for agent in run["agents"].values():
+        assert (agent["phase"], agent["lease"], agent["missed_ticks"], agent["refused"]) == ("ticking", 1, 0, {})
+
+
+def test_who_listens_with_the_credential_of_an_arm_hears_that_arm_and_nobody_else(guarded: Guarded) -> None:
+    own, progress = KEYS.arm("a1").state, KEYS.progress
+    counts = {key: len(heard) for key, heard in guarded.ears.heard.items()}
+    assert counts.pop(own) > 900
+    assert counts.pop(progress) > 0  # the observer, who may
+    assert set(counts.values()) == {0}, counts
+    assert len(counts) == 5
+
+
+def test_the_credential_of_another_arm_is_one_clear_sentence_and_status_2(guarded: Guarded) -> None:
+    status, said = guarded.wrong["another_arm"]
+    (line,) = said.splitlines()
+    assert line == ("palanquin: this credential is for a1, not for a2: give the folder of a2 with --credential")
+    assert status == 2
+
+
+def test_the_trace_is_the_same_bytes_whatever_lies_between(tmp_path: Path, guarded: Guarded) -> None:
+    """Access rules, TLS and a router cost time and nothing else."""
+    with launched("transport", tmp_path, {**TEAM, "duration_s": 1.0}) as run:
+        run.command.end()
+    assert (run.folder / "trace.parquet").read_bytes() == (guarded.folder / "trace.parquet").read_bytes()
+
+
+# A launched run
+
+
+def test_a_launched_run_hides_its_passwords_and_lets_nobody_in(tmp_path: Path) -> None:
+    """No file, no argument and no environment has them; without one, nothing opens."""
+    with launched("transport", tmp_path, {**TEAM, "duration_s": 6.0}) as run:
+        run.wait_until_carrying(0.1)
+        endpoint = f"tcp/127.0.0.1:{run.port}"
+        ended = run_to_end("follower", "--arm", "a1", "--run", "carry", "--connect", endpoint, cwd=tmp_path)
+        seen = [(child.cmdline(), child.environ(), child.open_files()) for child in run.children.values()]
+    (line,) = ended.stderr.splitlines()
+    assert "asks for a credential" in line
+    assert ended.returncode == 2
+    for arguments, environment, files in seen:
+        assert [each for each in arguments if "password" in each] == []
+        assert [name for name in environment if "PALANQUIN" in name or "PASSWORD" in name] == []
+        assert [file.path for file in files if "credential" in file.path or "guests" in file.path] == []
+    written = b"".join(path.read_bytes() for path in tmp_path.rglob("*") if path.is_file())
+    assert b"password" not in written
+
+
+# A simulator by hand
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "who may connect? Make credentials with `palanquin credentials DIR --arms 4`"),
+        (["--open", "--credentials", "x"], "exclude each other"),
+        (["--credentials", "x"], "x: no credential"),
+        (["--open", "--listen", "tcp/0.0.0.0:{port}"], "--insecure-network"),
+        (["--open", "--listen", "tls/127.0.0.1:{port}"], "a tls/ address needs a certificate"),
+    ],
+)
+def test_a_simulator_that_would_be_open_by_mistake_does_not_start(
+    tmp_path: Path, arguments: list[str], said: str
+) -> None:
+    filled = [each.format(port=free_port()) for each in arguments]
+    ended = run_to_end("sim", "hold", *filled, cwd=tmp_path)
+    (line,) = ended.stderr.splitlines()
+    assert said in line
+    assert ended.returncode == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_open_simulator_says_that_it_is(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with started("sim", "hold", "--open", "--listen", endpoint, cwd=tmp_path) as sim:
+        sim.wait_until(lambda: "waiting for" in sim.said(), "the simulator")
+        assert "open: no access rules" in sim.said()
+        open_client(endpoint).close()
+
+
+def test_a_router_without_a_good_file_does_not_start(tmp_path: Path) -> None:
+    (tmp_path / "bad.json5").write_text("{mode: 'router'}")
+    (tmp_path / "worse.json5").write_text("{")
+    for file in ("bad.json5", "worse.json5", "none.json5"):
+        ended = run_to_end("router", "--config", file, cwd=tmp_path)
+        (line,) = ended.stderr.splitlines()
+        assert f"{file}: not a router's configuration" in line
+        assert ended.returncode == 2

@@ -1,0 +1,69 @@
+"""Files that nobody else may read: 0600 in folders of 0700 from the first moment, and never half-written."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from wire.errors import CredentialError
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file of mode 0600, whole or not at all; an older one of that name is replaced."""
+    new = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
+    descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            os.fchmod(file.fileno(), 0o600)  # a umask may have taken bits away
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """A folder of mode 0700 to fill, which takes its name only when the block ends well.
+
+    An older folder of that name is replaced.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    building = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
+    building.mkdir(mode=0o700)
+    try:
+        yield building
+        old = path.with_name(f".{path.name}.old.{secrets.token_hex(6)}")
+        if path.exists():
+            path.rename(old)
+        building.rename(path)
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+
+
+def read_private(path: Path) -> str:
+    """The text of a file that only its owner may read.
+
+    Raises:
+        CredentialError: it is not there, or others may read it.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            if mode & 0o077:
+                raise CredentialError(
+                    f"{path}: others may read it (mode {mode:04o}); expected 0600. Make a new credential if somebody "
+                    f"did, or else: chmod 600 {path}"
+                )
+            return file.read()
+    except (OSError, UnicodeDecodeError) as error:
+        what = error.strerror if isinstance(error, OSError) else "not text"
+        raise CredentialError(f"{path}: cannot be read ({what}); expected a file of a credential") from None
