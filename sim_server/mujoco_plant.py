@@ -16,6 +16,7 @@ from sim_server.errors import PlantFailed
 from sim_server.grips import grip_wrenches
 from sim_server.motor_drivers import MotorDrivers
 from sim_server.plant import LoadPose, Numbers, Reading
+from sim_server.sensor_noise import SensorNoise
 from sim_server.world import ArmIds, World
 from wire.arms.limits import arm_limits
 from wire.messages import Vector
@@ -36,7 +37,6 @@ class MujocoPlant:
         scenario = world.scenario
         self._substeps = scenario.clock.control_period_ms // scenario.plant.physics_step_ms
         self._dt_s = scenario.plant.physics_step_ms / 1000
-        self._rng = np.random.default_rng([scenario.seed, 1])
         limits, base, arms = arm_limits(scenario.team.arm), scenario.base, list(world.arms.values())
         self._row = {name: row for row, name in enumerate(world.arms)}
         self._arm_dofs = _indices([ids.arm_dof for ids in arms])
@@ -47,7 +47,7 @@ class MujocoPlant:
             [_indices([ids.force_sensor for ids in arms]), _indices([ids.torque_sensor for ids in arms])]
         )
         noise = scenario.plant
-        self._noise = np.repeat(
+        sigma = np.repeat(
             [
                 noise.position_noise_rad,
                 noise.velocity_noise_rad_s,
@@ -57,6 +57,7 @@ class MujocoPlant:
             ],
             [limits.joints] * 3 + [3, 3],
         )
+        self._noise = SensorNoise(sigma, scenario.seed, len(arms))
         self._drivers = MotorDrivers(
             np.array([self._static_torque(ids) for ids in arms]),
             np.array(limits.torque_Nm),
@@ -112,7 +113,7 @@ class MujocoPlant:
         joints = self._arm_dofs.shape[1]
         everything = np.concatenate([self._qpos, self._qvel, self._drivers.torque.ravel(), self._sensordata])
         exact = everything[self._read_at]
-        noisy = (exact + self._noise * self._rng.standard_normal(exact.shape)).tolist()
+        noisy = (exact + self._noise.draw()).tolist()
         return {
             name: Reading(
                 q=tuple(row[:joints]),

@@ -14,6 +14,7 @@ from sim_server.errors import PlantFailed
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario import Scenario
 from sim_server.scenario_files import load_scenario, shipped_names
+from sim_server.sensor_noise import SensorNoise
 from sim_server.world import ArmIds, build_world
 from wire.arms.limits import arm_limits
 
@@ -408,3 +409,12 @@ def test_physics_out_of_range_says_so_and_does_not_go_back_to_the_start() -> Non
         step_often(plant, 100)
     position = plant.load_pose().position
     assert not np.allclose(position[:2], 0.0, atol=1e-6), "MuJoCo's own reset would have put it back to where it began"
+
+
+def test_an_arms_noise_tells_nothing_of_the_others_not_even_how_many_there_are() -> None:
+    """Whoever knows the seed could otherwise read the size of the team from it."""
+    alone, team = (SensorNoise(np.ones(27), seed=4, arms=arms) for arms in (1, 5))
+    for _ in range(600):  # past two blocks of numbers drawn ahead
+        np.testing.assert_array_equal(alone.draw()[0], team.draw()[0])
+    of_five = team.draw()
+    assert len(np.unique(of_five)) == of_five.size

@@ -1,0 +1,39 @@
+"""Sensor noise: one stream of random numbers per arm, so that no arm's noise tells of any other, or of how many."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STREAM = 1
+"""Keeps these draws apart from other streams of the same seed (:mod:`sim_server.differences` is stream 2)."""
+TICKS_AHEAD = 256
+"""Drawn at once: one call for many ticks."""
+
+
+class SensorNoise:
+    """Noise of N arms with k channels each, tick by tick.
+
+    Args:
+        sigma: standard deviation of each channel, (k,).
+        seed: the scenario's.
+        arms: N.
+    """
+
+    def __init__(self, sigma: Array, seed: int, arms: int) -> None:
+        self._sigma = sigma
+        self._streams = [np.random.default_rng([seed, STREAM, arm]) for arm in range(arms)]
+        self._drawn: Array = np.empty((TICKS_AHEAD, arms, len(sigma)))
+        self._next = TICKS_AHEAD
+
+    def draw(self) -> Array:
+        """The next tick's noise, (N, k); valid until the next call."""
+        if self._next == TICKS_AHEAD:
+            for arm, stream in enumerate(self._streams):
+                self._drawn[:, arm] = self._sigma * stream.standard_normal((TICKS_AHEAD, len(self._sigma)))
+            self._next = 0
+        self._next += 1
+        drawn: Array = self._drawn[self._next - 1]
+        return drawn
