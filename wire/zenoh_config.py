@@ -26,7 +26,8 @@ COMMON: Mapping[str, Any] = {
                 "lease": 500,
                 "keep_alive": 4,
                 "queue": {
-                    "congestion_control": {"drop": {"wait_before_drop": 1000}, "block": {"wait_before_close": 50000}}
+                    "size": {"data": 16},
+                    "congestion_control": {"drop": {"wait_before_drop": 1000}, "block": {"wait_before_close": 50000}},
                 },
             }
         },
