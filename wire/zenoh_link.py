@@ -22,7 +22,10 @@ from wire.credentials import Credential, Guests
 from wire.endpoints import check_stays_here_or_is_proven, parse_endpoint
 from wire.errors import CredentialError, LinkError, LoginRefused
 from wire.link import Census, Declared, Kind
-from wire.zenoh_config import client_config, open_server_config, passwords, server_config, uses_certificates
+from wire.zenoh_config import ONE_THREAD, client_config, open_server_config, passwords, server_config, uses_certificates
+
+# Zenoh reads it once, when the first session of a process opens. A user's own setting stays.
+os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)
 
 CENSUS_S = 2.0
 """How long to wait for what our own session knows; it takes less than a millisecond."""
