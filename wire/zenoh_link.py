@@ -24,8 +24,8 @@ from wire.errors import CredentialError, LinkError, LoginRefused
 from wire.link import Census, Declared, Kind
 from wire.zenoh_config import client_config, open_server_config, passwords, server_config, uses_certificates
 
-CENSUS_S = 2.0
-"""How long to wait for what our own session knows; it takes less than a millisecond."""
+CENSUS_S = 1.0
+"""How long to wait for what our own session knows; it takes a few milliseconds, or never comes back."""
 
 REFUSALS_ARE_NO_ACCIDENT = 3
 """Openings in a row that somebody who listens there ended at once: a login that is refused, not one lost in a rush."""
