@@ -1,4 +1,4 @@
-"""What the kernel counted: true to what was sent, explained where it is an agent's own, a violation where it is more."""
+"""What the kernel counted: true to what was sent, explained where it is the agent's own, else a violation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real runs: a mid-run eavesdropper is caught by the bytes alone, honest runs hold, and nobody can hang the simulator."""
+"""Real runs: who listened for a while is caught by the bytes, honest runs hold, nobody can hang the simulator."""
 
 from __future__ import annotations
 
@@ -143,8 +143,8 @@ def test_an_honest_run_holds(scenario: str, values: dict[str, float], tmp_path: 
 
 
 def test_a_run_with_a_killed_follower_holds(tmp_path: Path) -> None:
-    with launched("transport", tmp_path, {"duration_s": 4.0}) as run:
-        run.wait_until_carrying(0.8)
+    with launched("transport", tmp_path, {"duration_s": 2.5}) as run:
+        run.wait_until_carrying(0.6)
         run.signal("a3", signal.SIGKILL)
         run.command.end()
     audit = read_json(run.folder / "audit.json")
