@@ -151,3 +151,28 @@ def test_a_run_with_a_killed_follower_holds(tmp_path: Path) -> None:
     assert audit["verdict"] == "holds", audit["why"]
     (gone,) = [each for each in audit["connections"] if each["known"] != "final look"]
     assert gone["agent"] == "a3"
+
+
+HANGS = """
+import sys, time
+if "sim" in sys.orig_argv:
+    from wire.zenoh_link import ZenohLink
+    ZenohLink.census = ZenohLink.close = lambda *_: time.sleep(1000)
+"""
+
+
+def test_a_final_look_that_never_comes_back_costs_two_seconds_and_the_audits_verdict_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when Zenoh hangs: neither the look nor closing the session ever returns."""
+    (tmp_path / "sitecustomize.py").write_text(HANGS)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with launched("hold", tmp_path, {"duration_s": 0.3}) as run:
+        assert run.command.end() == 0
+        assert not run.command.survivors()
+    audit = read_json(run.folder / "audit.json")
+    assert (audit["verdict"], audit["final_look_came_back"]) == ("unknown", False)
+    assert "the final look did not come back within 2 s" in audit["why"]
+    assert read_json(run.folder / "metrics.json")["verdict"] == "holds"
+    assert "holds: reached its duration" in (run.folder / "logs" / "sim.log").read_text()
+    assert "the simulator is gone" in (run.folder / "logs" / "a1.log").read_text()
