@@ -14,6 +14,7 @@ from deploy.report import VERDICT_STYLE
 from deploy.walls import walls_in_log
 from sim_server.run_folder import LOGS
 
+RIGHT = ("messages", "bytes", "lease", "bytes to it", "explained", "bytes from it")
 WAYS = {"to": "sim -> agent", "from": "agent -> sim"}
 
 
@@ -35,12 +36,18 @@ def print_audit(console: Console, audit: Mapping[str, Any], folder: Path) -> Non
         counts.add_row(row["agent"], escape(row["key"]), way, f"{row['messages']:,}", f"{row['bytes']:,}")
     console.print(counts, "")
 
-    heard = _table("key asked for", "heard by", "seen in looks")
+    heard = _table("key asked for", "heard by, in the final look")
     for session in audit.get("sessions", {}).values():
         name = " and ".join(session["agents"]) or f"no agent, {session['address']}"
         for expression in session["heard"]:
-            heard.add_row(escape(expression), escape(name), f"{session['looks']} of {audit['looks']}")
+            heard.add_row(escape(expression), escape(name))
     console.print(heard, "")
+
+    carried = _table("connection", "of", "bytes to it", "explained", "bytes from it", "known by")
+    for each in audit.get("connections", ()):
+        figures = (f"{each[what]:,}" for what in ("bytes_to_it", "explained_at_most", "bytes_from_it"))
+        carried.add_row(escape(each["from"]), escape(each["agent"]), *figures, escape(each["known"]))
+    console.print(carried, "")
 
     for reason in audit["why"]:
         console.print(f"- {escape(reason)}", soft_wrap=True, highlight=False)
@@ -55,5 +62,5 @@ def _shown(value: object) -> str:
 def _table(*columns: str) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column in columns:
-        table.add_column(column, justify="right" if column in ("messages", "bytes", "lease") else "left")
+        table.add_column(column, justify="right" if column in RIGHT else "left")
     return table

@@ -169,6 +169,7 @@ def sim(
     from sim_server.run_folder import RunFolder
     from sim_server.scenario_files import load_scenario
     from sim_server.server import Server, check_world, default_folder
+    from wire.endpoints import parse_endpoint
 
     _log_to_stderr()
     named = load_scenario(scenario, scenario_changes(seed, set_))
@@ -178,7 +179,8 @@ def sim(
         name, listen, connect_router, credentials, is_open=open_, insecure_network=insecure_network
     ) as link:
         folder = RunFolder(out or default_folder(Path("runs"), named.name))
-        server = Server(link, named, name, folder, names_proven=not open_)
+        listening = None if connect_router else parse_endpoint(listen)
+        server = Server(link, named, name, folder, names_proven=not open_, listening=listening)
         _stop_on_signals(server.stop)
         if with_parent:
             end_with_parent(lambda: _stop_or_exit(server.stop), even_if_stopped=False)
@@ -186,7 +188,11 @@ def sim(
             print(f"open: {OPEN_MEANS}")
         print(f"run {name} at {connect_router or listen}, waiting for {', '.join(named.scenario.arms)}", flush=True)
         outcome = server.run()
-    print(f"{outcome.verdict}: {outcome.why}; run folder: {folder.path}", flush=True)
+        print(f"{outcome.verdict}: {outcome.why}; run folder: {folder.path}", flush=True)
+        if outcome.link_hangs:  # it would hang in closing as well; everything is written
+            logging.shutdown()
+            sys.stderr.flush()
+            os._exit(OF_VERDICT[outcome.verdict])
     raise typer.Exit(OF_VERDICT[outcome.verdict])
 
 

@@ -95,19 +95,24 @@ class Launcher:
         self._logs = claim_logs(self._folder)
         common = ["--run", self._run, "--with-parent"]
         place = ["--listen", self._endpoint, "--out", str(self._folder)]
-        to_sim = ["--credentials", STDIN]
-        self._spawn("sim", ["sim", *common, *place, *to_sim, *self._scenario_arguments], guests_line(self._guests))
+        access, secret = self._sim_access()
+        self._spawn("sim", ["sim", *common, *place, *access, *self._scenario_arguments], secret)
         self.wait_until_listening()
-        agent = [*common, "--walls", "--connect", self._endpoint, "--credential", STDIN]
-        for arm in self._scenario.arms:
-            arguments = ["follower", "--arm", arm, *follower_arguments(self._scenario), *agent]
-            self._spawn(arm, arguments, self._line(arm), self._rooms.make())
+        agents = {arm: ["follower", "--arm", arm, *follower_arguments(self._scenario)] for arm in self._scenario.arms}
         if self._scenario.leader is not None:
-            arguments = ["leader", *leader_arguments(self._scenario), *agent]
-            self._spawn("leader", arguments, self._line(Role.LEADER), self._rooms.make())
+            agents[Role.LEADER] = ["leader", *leader_arguments(self._scenario)]
+        for name, arguments in agents.items():
+            access, secret = self._agent_access(name)
+            arguments += [*common, "--connect", self._endpoint, *access]
+            self._spawn(name, arguments, secret, self._rooms.make())
 
-    def _line(self, name: str) -> bytes:
-        return credential_line(self._guests.of(name))
+    def _sim_access(self) -> tuple[list[str], bytes]:
+        """How the simulator learns whom to let in: arguments, and what it reads first on its standard input."""
+        return ["--credentials", STDIN], guests_line(self._guests)
+
+    def _agent_access(self, name: str) -> tuple[list[str], bytes]:
+        """How an agent proves who it is, and its walls: likewise."""
+        return ["--walls", "--credential", STDIN], credential_line(self._guests.of(name))
 
     def _spawn(self, name: str, arguments: Sequence[str], secret: bytes, room: Path | None = None) -> None:
         """Start a process; one with a ``room`` gets nothing else of this machine than that."""

@@ -1,31 +1,33 @@
-"""The audit of a run: did any key reach two agents? Asked of the transport's own tables, not of our good intentions.
+"""The audit of a run: did any key reach two agents? Two witnesses tell, not our own good intentions.
 
-Every second, off the tick's path, the simulator's session reads who has declared to hear, say or answer what. A session
-goes by the agents whose sign of life or command key it declared; with access rules that is proven by the credential,
-on an open system it is what the session claims. What happens between two looks is not seen, nor who watches the
-liveliness of whom: the access rules must close that.
+The kernel counts, all through the run, what each connection carried (sim_server/connections.py). And once, when the
+rest of the run is on the disk, the simulator's session reads who has declared to hear, say or answer what. Not while it
+goes on: Zenoh answers that query with a lock held that its answer wants again, and if somebody comes, goes or declares
+between the two, the session hangs for ever. A session goes by the agents whose sign of life or command key it
+declared; with access rules that is proven by the credential, on an open system it is what the session claims.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from sim_server.byte_account import Account, account
+from sim_server.connections import EVERY_S, Connections
 from sim_server.tally import Tallies
 from sim_server.verdict import Verdict
 from wire.keys import ArmKeys, Keys
 from wire.link import Census, Link
 
-EVERY_S = 1.0
-"""Wall time between two looks; one costs less than a millisecond."""
+LOOK_S = 2.0
+"""Wall time that the final look gets; it takes a few milliseconds."""
 
 
 @dataclass(slots=True)
 class SessionSeen:
-    """All that one session of another process declared, over all looks."""
+    """All that one session of another process has declared."""
 
     address: str
     agents: set[str] = field(default_factory=set)
@@ -34,7 +36,6 @@ class SessionSeen:
     """What it asked to hear, with the keys of this run that this reaches."""
     answered: set[str] = field(default_factory=set)
     """What it offers to answer."""
-    looks: int = 0
 
     @property
     def name(self) -> str:
@@ -43,16 +44,25 @@ class SessionSeen:
 
 
 class Auditor:
-    """Looks now and then, remembers, and judges at the end.
+    """Looks once, and judges.
 
     Args:
         link: the simulator's link.
         keys: of the run.
         agents: every agent's own keys.
+        connections: what the kernel counted.
         names_proven: credentials and access rules stand behind the names: two sessions of one name are one agent's.
     """
 
-    def __init__(self, link: Link, keys: Keys, agents: Mapping[str, ArmKeys], *, names_proven: bool = False) -> None:
+    def __init__(
+        self,
+        link: Link,
+        keys: Keys,
+        agents: Mapping[str, ArmKeys],
+        connections: Connections,
+        *,
+        names_proven: bool = False,
+    ) -> None:
         self._link, self._names_proven = link, names_proven
         self._agents = tuple(agents)
         self._owner = {
@@ -60,48 +70,33 @@ class Auditor:
         }
         self._names = {key: name for name, its in agents.items() for key in (its.command, its.alive)}
         self._keys = (*self._owner, keys.progress, keys.order)
+        self.connections = connections
         self.sessions: dict[str, SessionSeen] = {}
-        self.looks = 0
+        self.has_looked = self.hangs = False
         self._doubts: set[str] = set()
 
-    @contextmanager
-    def watching(self) -> Iterator[None]:
-        """Look now, then every so often on a thread of its own, and once more at the end."""
-        over = threading.Event()
+    def look(self, timeout_s: float = LOOK_S) -> None:
+        """The final look. If it does not come back, the link ``hangs``, and nothing may be asked of it any more."""
+        came: list[Census | None] = []
 
-        def watch() -> None:
-            while not over.wait(EVERY_S):
-                self.look()
+        def ask() -> None:
+            came.append(self._link.census(self._keys))
 
-        thread = threading.Thread(target=watch, name="audit", daemon=True)
-        self.look()
+        thread = threading.Thread(target=ask, name="final look", daemon=True)
         thread.start()
-        try:
-            yield
-        finally:
-            over.set()
-            thread.join()
-            self.look()
-
-    def look(self) -> None:
-        """Take one census and add it to what was seen."""
-        census = self._link.census(self._keys)
-        if census is None:
+        thread.join(timeout_s)
+        self.hangs = thread.is_alive()
+        if self.hangs:
+            self._doubts.add(f"the final look did not come back within {timeout_s:g} s")
+        elif not came or came[0] is None:
             self._doubts.add("the transport did not tell who is connected")
-            return
-        self.looks += 1
-        now = self._add(census)
-        for name in self._agents:
-            at_once = [session for session in now if self.sessions[session].agents == {name}]
-            if len(at_once) > 1 and not self._names_proven:
-                self._doubts.add(f"{len(at_once)} sessions went by the name {name} at the same time")
+        else:
+            self.has_looked = True
+            self._add(came[0])
 
-    def _add(self, census: Census) -> set[str]:
-        """The sessions of this look."""
-        now = set(census.addresses) | {declared.session for declared in census.declared}
-        for session in now:
-            seen = self.sessions.setdefault(session, SessionSeen(census.addresses.get(session, "nowhere known")))
-            seen.looks += 1
+    def _add(self, census: Census) -> None:
+        for session in sorted({*census.addresses, *(declared.session for declared in census.declared)}):
+            self.sessions[session] = SessionSeen(census.addresses.get(session, "nowhere known"))
         for declared in census.declared:
             seen = self.sessions[declared.session]
             if declared.kind in ("token", "publisher"):
@@ -110,13 +105,18 @@ class Auditor:
                 seen.heard.setdefault(declared.expression, set()).update(declared.keys)
             else:
                 seen.answered.add(declared.expression)
-        return now
+        for name in self._agents:
+            at_once = sum(seen.agents == {name} for seen in self.sessions.values())
+            if at_once > 1 and not self._names_proven:
+                self._doubts.add(f"{at_once} sessions went by the name {name} at the same time")
 
-    def judge(self, were_in: set[str]) -> tuple[Verdict, list[str]]:
-        """The verdict with its reasons; ``were_in`` are the agents that were let in."""
-        violations = [text for seen in self.sessions.values() for text in self._violations(seen)]
+    def judge(self, lives: Mapping[str, int]) -> tuple[Verdict, list[str], Account]:
+        """The verdict with its reasons; ``lives`` tells how often each agent was let in."""
+        names = {seen.address.partition("/")[2]: seen.agents for seen in self.sessions.values()}
+        counted = account(self.connections, names, lives)
+        violations = [text for seen in self.sessions.values() for text in self._violations(seen)] + counted.violations
         if violations:
-            return "violated", sorted(violations)
+            return "violated", sorted(violations), counted
         heard_own = {
             name
             for seen in self.sessions.values()
@@ -124,12 +124,22 @@ class Auditor:
             for keys in seen.heard.values()
             if any(self._owner.get(key) == name for key in keys)
         }
-        doubts = self._doubts | {
-            f"{name} took part, but was never seen to hear its own key" for name in were_in - heard_own
+        were_in = {name for name, times in lives.items() if times}
+        doubts = self._doubts | set(counted.doubts)
+        doubts |= {
+            f"{name} took part, but was never seen to hear its own key" for name in were_in - heard_own - counted.agents
         }
-        if doubts or not self.looks:
-            return "unknown", sorted(doubts) or ["nobody looked"]
-        return "holds", [f"in {self.looks} looks, no key of an agent was heard by anybody else"]
+        if self.connections.problem:
+            doubts.add(self.connections.problem)
+        if doubts or not self.has_looked:
+            return "unknown", sorted(doubts) or ["nobody looked"], counted
+        found = [
+            "in the final look, no key of an agent was heard by anybody else",
+            f"in the whole run, {len(counted.accounted)} connections carried no more than the messages meant for them",
+        ]
+        if counted.silent:
+            found.append(f"{counted.silent} more connections carried less than a message and are nobody's")
+        return "holds", found + counted.notes, counted
 
     def _violations(self, seen: SessionSeen) -> Iterator[str]:
         if len(seen.agents) > 1:
@@ -149,14 +159,15 @@ class Auditor:
 
     def describe(self, tallies: Tallies, processes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """The content of audit.json; ``processes`` tells each agent's pid, host and lease."""
-        were_in = {name for name, process in processes.items() if process["lease"]}
-        verdict, why = self.judge(were_in)
+        lives = {name: int(process["lease"]) for name, process in processes.items()}
+        verdict, why, counted = self.judge(lives)
+        overhead = self.connections.overhead
         return {
             "verdict": verdict,
             "why": why,
             "names_proven": self._names_proven,
-            "looks": self.looks,
-            "look_every_s": EVERY_S,
+            "final_look_came_back": not self.hangs,
+            "connections_counted_every_s": EVERY_S,
             "processes": dict(processes),
             "counts": [
                 {
@@ -174,8 +185,25 @@ class Auditor:
                     "agents": sorted(seen.agents),
                     "heard": {expression: sorted(keys) for expression, keys in sorted(seen.heard.items())},
                     "answered": sorted(seen.answered),
-                    "looks": seen.looks,
                 }
                 for session, seen in self.sessions.items()
             },
+            "most_overhead_bytes": {
+                "opening": overhead.opening,
+                "per_message": overhead.per_message,
+                "per_s": overhead.per_s,
+            },
+            "connections": [
+                {
+                    "agent": each.who,
+                    "known": each.how,
+                    "from": each.connection.carried.peer,
+                    "bytes_to_it": each.connection.carried.sent,
+                    "explained_at_most": each.explained,
+                    "bytes_from_it": each.connection.carried.received,
+                    "not_taken_in": each.refused,
+                }
+                for each in sorted(counted.accounted, key=lambda each: each.who)
+            ],
+            "connections_without_a_message": counted.silent,
         }

@@ -102,7 +102,7 @@ def read_audit(path: Path) -> dict[str, Any]:
     read_run(path)
     missing = f"{path} has no {AUDIT}: this run was recorded before runs were audited; run the scenario again"
     found = _read_json(path / AUDIT, missing)
-    fields = (("verdict", str), ("why", list), ("looks", int), ("processes", dict), ("counts", list))
+    fields = (("verdict", str), ("why", list), ("processes", dict), ("counts", list))
     if wrong := [name for name, kind in fields if not isinstance(found.get(name), kind)]:
         raise RunFolderError(f"{path / AUDIT} is no audit: {', '.join(wrong)} missing or of the wrong type")
     return found

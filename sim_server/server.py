@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sim_server.audit import Auditor
+from sim_server.connections import connections_of
 from sim_server.errors import PlantFailed, ScenarioError, SimError
 from sim_server.layout import LayoutError
 from sim_server.lockstep import LockStep, Stopped
@@ -29,6 +30,7 @@ from sim_server.world import World, build_world
 from wire.arms import arm_digest
 from wire.arms.limits import arm_limits
 from wire.codec import encode
+from wire.endpoints import Endpoint
 from wire.keys import Keys
 from wire.lifecycle import Invitation
 from wire.link import Link
@@ -55,6 +57,8 @@ class Outcome:
     verdict: Verdict
     completed: bool
     why: str
+    link_hangs: bool = False
+    """Nothing may be asked of the link any more, not even to close: leave the process at once."""
 
 
 class Server:
@@ -66,10 +70,18 @@ class Server:
         run: name of the run, part of every key.
         folder: where the run's files go.
         names_proven: whether credentials stand behind the agents' names; for the audit.
+        listening: where the link listens; None if it is a client of a router.
     """
 
     def __init__(
-        self, link: Link, named: NamedScenario, run: str, folder: RunFolder, *, names_proven: bool = False
+        self,
+        link: Link,
+        named: NamedScenario,
+        run: str,
+        folder: RunFolder,
+        *,
+        names_proven: bool = False,
+        listening: Endpoint | None = None,
     ) -> None:
         self._named, self._run_name, self._folder = named, run, folder
         self._scenario = named.scenario
@@ -83,6 +95,7 @@ class Server:
             link,
             keys,
             {name: self._reception.keys_of(name) for name in self._reception.agents},
+            connections_of(listening, self._reception.tallies),
             names_proven=names_proven,
         )
         leader = self._scenario.leader
@@ -138,11 +151,12 @@ class Server:
                 self._wait_for_agents()
             except Stopped:
                 raise NobodyCame("stopped before the first tick: nothing was recorded") from None
-            with self._auditor.watching():
+            with self._auditor.connections.watching():
                 completed, why = self._run_ticks()
             return self._conclude(completed, why)
         finally:
-            self._say_end("the run is over")
+            if not self._auditor.hangs:
+                self._say_end("the run is over")
             self._folder.close()
 
     def _wait_for_agents(self) -> None:
@@ -198,13 +212,17 @@ class Server:
             folder / RUN,
             describe_run(self._run_name, self._named, self._plant, self._reception, self._clock.timings, ending),
         )
-        processes = describe_agents(self._reception)
-        write_json(folder / AUDIT, self._auditor.describe(self._reception.tallies, processes))
-        if not self._plant.tick:
-            return Outcome("unknown", completed, why)
-        metrics, _ = compute_metrics(folder)
-        write_json(folder / METRICS, metrics)
-        return Outcome(metrics["verdict"], completed, why)
+        verdict: Verdict = "unknown"
+        if self._plant.tick:
+            metrics, _ = compute_metrics(folder)
+            write_json(folder / METRICS, metrics)
+            verdict = metrics["verdict"]
+        # All else is on the disk, and the agents wait for the next tick or the end: nobody comes, goes or declares, if
+        # all behave. If one does not, and the look hangs, this file alone says less.
+        self._auditor.look()
+        audit = self._auditor.describe(self._reception.tallies, describe_agents(self._reception))
+        write_json(folder / AUDIT, audit)
+        return Outcome(verdict, completed, why, self._auditor.hangs)
 
     def _publish_progress(self, phase: Any, waiting_for: str) -> None:
         now = time.monotonic()

@@ -57,7 +57,7 @@ def carry(cwd: Path, *, attack: bool) -> Attacked:
             own = cwd / "own"
             own.mkdir()
             aim = ("--private", cwd / "run" / "events.jsonl", "--pid", str(followers["a2"].process.pid), "--walls")
-            ended = run_to_end("chaos", "intruder", "--arm", "a1", "--other", "a2", *agent, *aim, cwd=own)
+            ended = run_to_end("chaos", "attack", "--arm", "a1", "--other", "a2", *agent, *aim, cwd=own)
             assert ended.returncode == 0, ended.stderr
             assert sim.process.poll() is None, "the run ended before the attack: nothing was attacked"
             rows = [

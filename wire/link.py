@@ -81,7 +81,11 @@ class Link(Protocol):
 
     def census(self, keys: Sequence[str]) -> Census | None:
         """Who is connected and has declared what, seen from this session, which itself is left out; None if the
-        transport does not tell."""
+        transport does not tell.
+
+        Only when all else is done, and on a thread that nobody waits for without a limit: if a session comes, goes or
+        declares meanwhile, Zenoh may not come back from it, and then the whole link hangs, its ``close`` too.
+        """
         ...
 
     def close(self) -> None: ...

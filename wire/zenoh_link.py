@@ -27,8 +27,8 @@ from wire.zenoh_config import ONE_THREAD, client_config, open_server_config, pas
 # Zenoh reads it once, when the first session of a process opens. A user's own setting stays.
 os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)
 
-CENSUS_S = 2.0
-"""How long to wait for what our own session knows; it takes less than a millisecond."""
+CENSUS_S = 1.0
+"""How long to wait for what our own session knows; it takes a few milliseconds, or never comes back."""
 
 REFUSALS_ARE_NO_ACCIDENT = 3
 """Openings in a row that somebody who listens there ended at once: a login that is refused, not one lost in a rush."""

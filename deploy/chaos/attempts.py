@@ -8,12 +8,15 @@ log. Such an attempt names the place, and deploy/chaos/evidence.py looks there a
 from __future__ import annotations
 
 import time
+from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from typing import Any, Literal
 
 import zenoh
 
+from deploy.authority import issue, new_authority
 from deploy.chaos.target import LISTEN_S, Target, heard, put, replies
 from wire.arms import arm_digest
 from wire.codec import decode_any, encode
@@ -218,8 +221,15 @@ def _log_in(overlay: Callable[[Target], Mapping[str, Any]]) -> Callable[[Target]
 
 
 def _as_the_victim(target: Target) -> Mapping[str, Any]:
-    user = {"user": target.victim, "password": "guessed"}
-    return {"transport": {"auth": {"usrpwd": user}}}
+    """With a guessed password, or with a certificate in the victim's name that an authority of our own has signed."""
+    tls = target.overlay.get("transport", {}).get("link", {}).get("tls")
+    if tls is None:
+        return {"transport": {"auth": {"usrpwd": {"user": target.victim, "password": "guessed"}}}}
+    now = datetime.now(UTC)
+    forged = issue(*new_authority(now), target.victim, now, now + timedelta(days=1))
+    mine = {"connect_certificate_base64": forged.certificate, "connect_private_key_base64": forged.key}
+    forgery = {name: b64encode(text.encode()).decode() for name, text in mine.items()}
+    return {"transport": {"link": {"tls": {**tls, **forgery}}}}
 
 
 def _flood(target: Target) -> Got:

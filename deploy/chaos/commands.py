@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +16,31 @@ app = typer.Typer(help="Attack a run on purpose, and see what holds.", no_args_i
 
 @app.command()
 def intruder(
+    tls: Annotated[bool, typer.Option("--tls", help="Protect with certificates (mTLS) instead of passwords.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder of the report; a dated one under runs/ by default.")] = None,
+    arms: Annotated[int, typer.Option(min=2, max=16, help="Arms of the team that is attacked.")] = 2,
+    only_protected: Annotated[
+        bool, typer.Option("--only-protected", help="Leave out the open system and the run without an intruder.")
+    ] = False,
+) -> None:
+    """Let a hostile follower with the credential of one arm try everything, on an open system and on a protected one.
+
+    Prints what each attempt gave on either and leaves a report. Status 0 if all are closed here and the trace is that
+    of the run without an intruder, 1 if not.
+    """
+    from deploy.chaos.comparison import compare
+    from deploy.chaos.comparison_report import is_closed, print_and_write
+    from deploy.report import PatientConsole
+
+    folder = (out or Path("runs") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}_intruder").absolute()
+    console = PatientConsole()
+    comparison = compare(folder, console.print, arms=arms, tls=tls, only_protected=only_protected)
+    print_and_write(console, comparison, folder)
+    raise typer.Exit(0 if is_closed(comparison) else 1)
+
+
+@app.command()
+def attack(
     arm: Annotated[str, typer.Option(help="The arm whose credential the intruder has.")],
     other: Annotated[list[str], typer.Option(help="Another arm of the run; once per arm.")],
     run: Annotated[str, typer.Option("--run", help="Name of the run.")],
@@ -26,7 +52,7 @@ def intruder(
     pid: Annotated[list[int] | None, typer.Option(help="A process that it must not reach.")] = None,
     walls: Annotated[bool, typer.Option("--walls", help="Inside the walls that a launched follower has.")] = False,
 ) -> None:
-    """Try everything that a hostile follower can try against a run that goes on; print one JSON object a row.
+    """Be the intruder of a run that goes on; print one JSON object a row.
 
     Run it beside the healthy follower of the same arm. What arrived at others is told by the run's folder: see
     docs/silence.md.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,9 +23,10 @@ class Row:
     got: Got
 
 
-def try_all(target: Target, attempts: Iterable[Attempt]) -> list[Row]:
+def try_all(target: Target, attempts: Iterable[Attempt]) -> Iterator[Row]:
     """Every attempt, one after the other. One that Zenoh does not let happen at all is closed."""
-    return [Row(each.name, each.way, _try(target, each.act)) for each in attempts]
+    for each in attempts:
+        yield Row(each.name, each.way, _try(target, each.act))
 
 
 def _try(target: Target, act: Callable[[Target], Got]) -> Got:

@@ -1,0 +1,64 @@
+"""What ``palanquin chaos intruder`` prints and leaves: a row an attempt, on the open system and here."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from deploy.chaos.comparison import Comparison
+from deploy.chaos.intruder import Row
+from sim_server.run_folder import write_json
+
+REPORT = "report.json"
+TABLE = "report.md"
+
+
+def is_closed(comparison: Comparison) -> bool:
+    """Whether every attempt was closed here, and changed nothing in the trace."""
+    return all(row.got.is_open is False for row in comparison.here) and comparison.same_trace is not False
+
+
+def print_and_write(console: Console, comparison: Comparison, folder: Path) -> None:
+    """The table on the screen; ``report.json`` and ``report.md`` in the folder."""
+    opened = {row.name: row for row in comparison.open}
+    rows = [(row.name, _said(opened.get(row.name)), _said(row)) for row in comparison.here]
+    columns = ("what was tried", "open system (measured)", f"here, {comparison.protection} (measured)")
+    table = Table(*columns, box=None, pad_edge=False, header_style="bold")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    console.print(table)
+    summary = _summary(comparison)
+    for line in summary:
+        console.print(line, soft_wrap=True, highlight=False)
+    console.print(f"report: {folder / TABLE}", soft_wrap=True, highlight=False)
+    content = {**asdict(comparison), "closed": is_closed(comparison), "summary": summary}
+    write_json(folder / REPORT, json.loads(json.dumps(content)))
+    lines = ["| " + " | ".join(columns) + " |", "|---|---|---|"]
+    lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    text = "\n".join(["# The intruder", "", *(f"- {line}" for line in summary), "", *lines])
+    (folder / TABLE).write_text(text + "\n", encoding="utf-8")
+
+
+def _said(row: Row | None) -> str:
+    if row is None:
+        return "not run"
+    return f"{'OPEN' if row.got.is_open else 'closed'}: {row.got.evidence}"
+
+
+def _summary(comparison: Comparison) -> list[str]:
+    closed = sum(row.got.is_open is False for row in comparison.here)
+    lines = [
+        f"{closed} of {len(comparison.here)} attempts closed here ({comparison.arms} arms, {comparison.ticks} ticks)"
+    ]
+    if comparison.open:
+        opened = sum(row.got.is_open is True for row in comparison.open)
+        lines.append(f"{opened} of {len(comparison.open)} gave the intruder what it wanted on an open system")
+    same = {True: "the same, byte for byte", False: "NOT the same", None: "not compared"}[comparison.same_trace]
+    lines.append(f"the trace and that of the run without an intruder: {same}")
+    lines.append(f"the audit of the attacked run (no key reached two agents): {comparison.audit}")
+    return lines
