@@ -6,9 +6,11 @@ listener. What each is told: wire/zenoh_config.py.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -36,6 +38,16 @@ AT_ONCE_S = 1.0
 RETRY_S = 0.05
 MOST_PASSWORDS_BYTES = 60_000
 """What a pipe takes without a reader."""
+
+
+_thread = threading.local()
+
+
+def _make_known() -> None:
+    """Have Python remember this thread of Zenoh's. It would otherwise make a new state for it at every call and throw
+    it away after: a quarter of the cost of a message. Never released, since the thread lives as long as the session."""
+    ctypes.pythonapi.PyGILState_Ensure()
+    _thread.known = True
 
 
 def free_endpoint() -> str:
@@ -195,6 +207,8 @@ class ZenohLink:
 
     def subscribe(self, key: str, handler: Callable[[bytes], None]) -> None:
         def deliver(sample: zenoh.Sample) -> None:
+            if not hasattr(_thread, "known"):
+                _make_known()
             handler(sample.payload.to_bytes())
 
         self._declared.append(self._session.declare_subscriber(key, zenoh.handlers.Callback(deliver, indirect=False)))
