@@ -12,7 +12,7 @@ BIN      := $(VENV)/bin
 STAMP    := $(VENV)/installed
 LOCK     := requirements.lock
 LOCK_BOX := .lock-venv
-TYPED    := wire agents sim_server deploy tests
+TYPED    := wire agents sim_server deploy tests benchmarks
 PIP_INSTALL := -m pip --disable-pip-version-check --no-input install --progress-bar off --quiet
 
 # A sourced ROS workspace puts its own numpy, pinocchio and pytest plug-ins here; .venv shall hold what the lock says.

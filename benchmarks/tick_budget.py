@@ -54,8 +54,11 @@ def warm_parts(changes: dict[str, Any]) -> dict[str, float]:
     follower = Follower(FollowerSettings("bench", "a1", scenario.team.arm, "paper", {}))
     arm = ArmModel(scenario.team.arm)
     q, qd = world.q_home.copy(), np.zeros(arm.joints)
+    n = arm.joints
+    shapes = {"C": (n, n), "g": (n,), "M_inv": (n, n), "J": (6, n), "Jdot": (6, n), "p_BE": (3,), "R_BE": (3, 3)}
+    terms = {name: np.zeros(shape) for name, shape in shapes.items()}
     reading = plant.read()["a1"]
-    state = State("a1", 0, 0, *(tuple(x.tolist()) for x in (reading.q, reading.qd, reading.tau, reading.wrench)))
+    state = State("a1", 0, 0, reading.q, reading.qd, reading.tau, reading.wrench)
     command = follower.answer(state, 1, 1e-3)
     state_bytes, command_bytes = encode(state), encode(command)
     row = plant.state_row()
@@ -63,7 +66,7 @@ def warm_parts(changes: dict[str, Any]) -> dict[str, float]:
         "follower: whole answer (decode, law, encode)": median_us(
             lambda: encode(follower.answer(decode(state_bytes, State), 1, 1e-3))
         ),
-        "follower: of that, Pinocchio's terms": median_us(lambda: arm.snapshot(q, qd)),
+        "follower: of that, Pinocchio's terms": median_us(lambda: arm.fill(q, qd, terms)),
         "follower: of that, decode a state": median_us(lambda: decode(state_bytes, State)),
         "simulator: read all sensors": median_us(plant.read),
         "simulator: encode one state": median_us(lambda: encode(state)),
