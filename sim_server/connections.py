@@ -32,7 +32,7 @@ class Overhead:
     """Zenoh's own signs of life."""
 
 
-OVERHEAD: Mapping[str, Overhead] = {"tcp": Overhead(1024, 16, 40), "tls": Overhead(4096, 44, 300)}
+OVERHEAD: Mapping[str, Overhead] = {"tcp": Overhead(1280, 16, 40), "tls": Overhead(4096, 44, 300)}
 """By protocol."""
 
 

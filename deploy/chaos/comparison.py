@@ -54,7 +54,7 @@ def compare(folder: Path, say: Callable[[str], None], *, arms: int, tls: bool, o
         same = None
         if not only_protected:
             say(f"the same without an intruder: {ticks} ticks")
-            with_duration(folder / "alone", arms, tls, store, ticks / 1000)
+            _in_peace(folder / "alone", arms, tls, store, ticks / 1000)
             same = (folder / "here" / TRACE).read_bytes() == (folder / "alone" / TRACE).read_bytes()
     return Comparison(protection, arms, here, opened, same, ticks, str(read_audit(folder / "here")["verdict"]))
 
@@ -71,7 +71,7 @@ def _attacked(
         stage.end_all()
 
 
-def with_duration(folder: Path, arms: int, tls: bool, store: CredentialStore, duration_s: float) -> None:
+def _in_peace(folder: Path, arms: int, tls: bool, store: CredentialStore, duration_s: float) -> None:
     """The same run in peace, for so long."""
     stage = _stage(folder, arms, tls, store, duration_s)
     try:

@@ -103,7 +103,8 @@ def heard(session: zenoh.Session, *expressions: str, seconds: float = LISTEN_S) 
 
 def replies(session: zenoh.Session, selector: str, payload: bytes | None = None) -> list[tuple[str, bytes]]:
     """Key and bytes of every good reply to a query, of whoever answers."""
-    got = session.get(selector, payload=payload, timeout=1.0, target=zenoh.QueryTarget.ALL)
+    everybody, each_answer = zenoh.QueryTarget.ALL, zenoh.ConsolidationMode.NONE  # else the first answer hides a second
+    got = session.get(selector, payload=payload, timeout=1.0, target=everybody, consolidation=each_answer)
     return [(str(each.ok.key_expr), each.ok.payload.to_bytes()) for each in got if each.ok is not None]
 
 
