@@ -49,6 +49,11 @@ SIZE_LIMIT: Mapping[str, Any] = {
 """What is longer than any message may be goes no further than the edge: not even the simulator's decoder sees it."""
 
 
+ALL_ARE_GUESTS: Mapping[str, Any] = {"south": [{"filters": [{"modes": ["client", "peer", "router"]}]}]}
+"""Whoever connects hangs below us, in whatever mode. A session in mode peer would be an equal, and be told the name of
+every key that anybody declared: who else there is. The access rules do not see that kind of message. With this, Zenoh
+tells a peer no more than a client, and turns a router away at the door."""
+
 OWN_EYES: Mapping[str, Any] = {
     "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
     "access_control": {
@@ -98,6 +103,7 @@ def server_config(endpoint: str, guests: Guests, run: str, passwords_file: str) 
     principals = [guest.who for guest in guests.in_time(datetime.now(UTC))]
     config["access_control"] = access_control(run, principals, by)
     config["low_pass_filter"] = [dict(SIZE_LIMIT)]
+    config["gateway"] = deepcopy(dict(ALL_ARE_GUESTS))
     transport = config["transport"]
     if uses_certificates(endpoint):
         certificate = _certificate_of(guests.own)
