@@ -65,7 +65,7 @@ def _path(axes: Axes, trace: Trace, facts: dict[str, object], size: list[float])
         axes.plot(*goal, "x", color="red", markersize=11, markeredgewidth=3, label="goal")
     axes.set(title="Path from above (outline: start dotted, end solid)", xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_adjustable("datalim")
-    axes.legend(fontsize=7, loc="best", ncols=2)
+    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=7)
     axes.grid(alpha=0.3)
 
 
