@@ -1,8 +1,9 @@
 """The walls around an agent's process: what Zenoh cannot keep from it, the operating system does.
 
 An agent reads Python, its libraries and its controller's code; writes its own folder; connects by TCP to the
-simulator's port; and reaches no other process. Raised before any of the user's code is loaded and before any other
-thread is started, since Landlock holds for the thread that asks and its children. Linux only; elsewhere nothing is
+simulator's port; and reaches no other process. Landlock holds what it knows, a filter of system calls the rest, and what
+root may do is given up. Raised before any of the user's code is loaded and before any other thread is started, since all
+of it holds for the thread that asks and its children. Linux only; elsewhere nothing is
 enforced, and the statement says so.
 """
 
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.landlock import IOCTL_DEV, OWN, READ, READ_DIR, READ_FILE, WRITE_FILE, abi, restrict
+from deploy.seccomp import drop_capabilities, restrict_calls
 
 SAYS = "walls: "
 """How the line begins in which an agent's log says which walls stand."""
@@ -53,15 +55,23 @@ def raise_walls(port: int, own: Path) -> str:
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
     libc.prctl(_PR_SET_DUMPABLE, 0, 0, 0, 0)
-    others = "no new privileges, memory hidden from processes of the same user"
+    drop_capabilities()
+    others = "no new privileges, no capabilities, memory hidden from processes of the same user"
     if abi() == 0:
-        return f"{others}; files, tcp, signals and ptrace not enforced: this kernel has no Landlock"
+        return _with_filter(f"{others}; files, tcp and signals not enforced: this kernel has no Landlock")
     allowed = {path: READ for path in readable()}
     allowed |= {path: READ_DIR for path in _package_folders()}
     allowed |= {Path("/dev/null"): READ_FILE | WRITE_FILE | IOCTL_DEV, own: OWN}
     enforced = restrict(allowed, [port])
     text = f"landlock abi {enforced.abi}: {', '.join(enforced.walls)}; {others}"
-    return text + (f"; not enforced on this kernel: {', '.join(enforced.missing)}" if enforced.missing else "")
+    return _with_filter(
+        text + (f"; not enforced on this kernel: {', '.join(enforced.missing)}" if enforced.missing else "")
+    )
+
+
+def _with_filter(text: str) -> str:
+    """Raise the last wall, which would be in the way of the others, and say so."""
+    return f"{text}; {'system calls filtered' if restrict_calls() else 'system calls not filtered on this machine'}"
 
 
 def readable() -> Iterator[Path]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -38,7 +41,59 @@ def attempts(aim: dict[str, Any]) -> dict[str, Callable[[], object]]:
             probe.bind(("127.0.0.1", 0))
             probe.listen()
 
+    libc = ctypes.CDLL(None, use_errno=True)
+
+    def call(number: int, *arguments: object) -> None:
+        """A system call of x86_64 by its number, where Python has no name for it."""
+        if libc.syscall(ctypes.c_long(number), *arguments) < 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+    def listen(protocol: int) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM, protocol) as listener:
+            listener.listen()  # at a port of the system's choice, without bind
+
+    def fast_open() -> None:
+        with socket.socket() as probe:
+            probe.sendto(b"x", 0x20000000, ("127.0.0.1", int(aim["port"])))
+
+    def watch() -> None:
+        os.close(libc_checked(libc.inotify_init1(0)))
+
+    def libc_checked(result: int) -> int:
+        if result < 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        return result
+
+    def lock() -> None:
+        with open(os.__file__, "rb") as shared:
+            fcntl.flock(shared, fcntl.LOCK_SH)
+
+    def range_lock() -> None:
+        with open(os.__file__, "rb") as shared:
+            fcntl.lockf(shared, fcntl.LOCK_SH | fcntl.LOCK_NB)
+
     return {
+        "open a udp socket": lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).close(),
+        "open a unix socket": lambda: socket.socket(socket.AF_UNIX).close(),
+        "ask the kernel who is connected": lambda: socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, 4).close(),
+        "listen without bind": lambda: listen(0),
+        "listen by multipath tcp": lambda: listen(262),
+        "connect by fast open": fast_open,
+        "limit another's processor time": lambda: resource.prlimit(pid, resource.RLIMIT_CPU, (1000, 1000)),
+        "move another to one core": lambda: os.sched_setaffinity(pid, os.sched_getaffinity(0)),
+        "slow another down": lambda: os.setpriority(os.PRIO_PROCESS, pid, 5),
+        "read another's processor time": lambda: time.clock_gettime((~pid) << 3 | 2),
+        "leave a message in a file's attributes": lambda: os.setxattr(private, "user.q", b"0.1 0.2"),
+        "leave a message in a file's times": lambda: os.utime(private, ns=(1, 2)),
+        "leave a message in a file's mode": lambda: os.chmod(private, 0o640),
+        "watch a folder": watch,
+        "lock a shared file": lock,
+        "lock a part of a shared file": range_lock,
+        "leave a message in the keyring": lambda: call(248, b"user", b"palanquin-q", b"x", ctypes.c_size_t(1), -4),
+        "open a message queue": lambda: call(68, 0x50414C51, 0o1600),
+        "open a semaphore": lambda: call(64, 0x50414C51, 1, 0o1600),
+        "open shared memory of System V": lambda: call(29, 0x50414C51, ctypes.c_size_t(4096), 0o1600),
+        "show its memory again": lambda: call(157, 4, 1, 0, 0, 0),
         "read another's private file": private.read_text,
         "list another's folder": lambda: os.listdir(private.parent),
         "write outside its folder": lambda: (private.parent / "was-here").write_text("x"),
