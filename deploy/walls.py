@@ -1,10 +1,10 @@
 """The walls around an agent's process: what Zenoh cannot keep from it, the operating system does.
 
 An agent reads Python, its libraries and its controller's code; writes its own folder; connects by TCP to the
-simulator's port; and reaches no other process. Landlock holds what it knows, a filter of system calls the rest, and what
-root may do is given up. Raised before any of the user's code is loaded and before any other thread is started, since all
-of it holds for the thread that asks and its children. Linux only; elsewhere nothing is
-enforced, and the statement says so.
+simulator's port; and reaches no other process. Landlock holds what it knows, a filter of system calls the rest, and
+what root may do is given up. Raised before any of the user's code is loaded and before any other thread is started,
+since all of it holds for the thread that asks and its children. Linux only; elsewhere nothing is enforced, and the
+statement says so.
 """
 
 from __future__ import annotations
