@@ -68,7 +68,7 @@ def _plain_lines(console: Console) -> Show:
         now = 10 * progress.tick // progress.ticks
         if progress.phase == "running" and now > tenth:
             tenth = now
-            console.print(_numbers(progress), highlight=False)
+            console.print(_numbers(progress), highlight=False, soft_wrap=True)
 
     return show
 
@@ -80,7 +80,7 @@ def _numbers(progress: Progress) -> str:
     if progress.goal_distance_m >= 0:
         text += f", {progress.goal_distance_m:.2f} m to the goal"
     if progress.missed_ticks or progress.age_max_ticks:
-        text += f", {progress.missed_ticks} ticks missed, oldest command {progress.age_max_ticks} ticks"
+        text += f", {progress.missed_ticks} ticks missed, oldest command {progress.age_max_ticks}"
     return text
 
 

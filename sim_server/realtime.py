@@ -22,6 +22,9 @@ from wire.messages import Command, LeaderForce
 
 MOST_BEHIND = 3
 """Ticks that the server may be late and still make up for: the longest burst that agents and plant have to stand."""
+FIRST_ANSWER_NS = 1_000_000_000
+"""Simulated time that an agent has for its first answer before ticks count as missed: what a law needs when it runs for
+the first time has to be fetched into memory, which can take longer than 20 ticks; nobody relies on it yet."""
 SPIN_NS = 60_000
 """End of a sleep that is spent looking at the clock, since the kernel wakes a sleeper up to 50 us late."""
 TELL_EVERY_NS = 1_000_000_000
@@ -154,7 +157,9 @@ class RealTime(Ticker):
 
     def _miss(self, name: str, agent: Agent) -> None:
         """Misses are counted and not told one by one: here they are no accident."""
-        if agent.link.miss():
+        if agent.link.answered_tick is None and agent.link.excused * agent.terms.period_ns < FIRST_ANSWER_NS:
+            agent.link.excuse()
+        elif agent.link.miss():
             self._lose(name, f"{agent.link.missed_in_row} ticks without an answer")
         elif 2 * agent.link.missed_in_row == agent.link.invitation.lost_after:
             self._report("missed", agent=name, in_row=agent.link.missed_in_row)

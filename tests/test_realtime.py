@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_lockstep_in_memory import LEADER_EVERY, LOST_AFTER, PERIOD_NS, Behaviour, Bench, MemoryAgent, obedient, silent
 
-from sim_server.realtime import MOST_BEHIND, RealTime
+from sim_server.realtime import FIRST_ANSWER_NS, MOST_BEHIND, RealTime
 from sim_server.reception import LEADER, Arrived
 from wire.errors import Reason
 from wire.lifecycle import AgentLink, Phase
@@ -174,6 +174,17 @@ def test_a_short_delay_is_made_up_for_and_simulated_time_stays_with_the_wall_clo
     assert bench.reported("slowed") == []
 
 
+def test_a_server_that_hurries_leaves_the_arms_half_a_period_to_answer() -> None:
+    bench = RealBench(("a1",))
+    bench.join("a1", bench.answering_after(round(0.45 * PERIOD_NS)))
+    bench.run(10)
+    bench.wall.pass_until(bench.wall.now + round(3.2 * PERIOD_NS))
+    bench.run(20)
+    assert bench.clock.punctuality.slowed_ns == 0
+    assert bench.ages("a1") == {0: 30}
+    assert min(bench.periods()) == pytest.approx(0.45, abs=0.01)  # it hurries as soon as all have answered
+
+
 def test_after_a_long_delay_there_is_no_burst_but_a_run_that_says_it_is_slow() -> None:
     bench = RealBench(("a1",))
     bench.join("a1", bench.answering_after(PERIOD_NS // 20))
@@ -240,7 +251,8 @@ def test_the_command_that_acts_is_the_newest_that_has_arrived(delays_ns: list[in
         assert acting == ([] if newest is None else [newest + 0.5])
         if newest is not None and (fresh or in_row + 1 < LOST_AFTER):
             ages[tick - newest] = ages.get(tick - newest, 0) + 1
-        missed, in_row = (missed, 0) if fresh else (missed + 1, in_row + 1)
+        if newest is not None:  # before the first answer nothing is counted
+            missed, in_row = (missed, 0) if fresh else (missed + 1, in_row + 1)
         assert bench.link("a1").missed == missed
         assert (bench.phase("a1") is Phase.LOST) == (in_row == LOST_AFTER)
         if in_row == LOST_AFTER:
@@ -254,7 +266,7 @@ def test_an_arm_that_is_steadily_late_has_old_commands_and_misses_nothing() -> N
     bench.join("a1", bench.answering_after(round(2.5 * PERIOD_NS)))
     bench.run(30)
     assert bench.ages("a1") == {2: 28}
-    assert bench.link("a1").missed == 2
+    assert (bench.link("a1").missed, bench.link("a1").excused) == (0, 2)
 
 
 def test_an_arm_that_was_late_once_is_in_time_again() -> None:
@@ -296,15 +308,27 @@ def test_a_hold_acts_but_the_arm_that_hears_nothing_new_is_lost_all_the_same() -
 def test_a_new_instance_cannot_answer_what_an_older_one_was_asked() -> None:
     bench = RealBench(("a1",))
     old = bench.join("a1", silent)
-    bench.run(LOST_AFTER)
-    assert bench.phase("a1") is Phase.LOST
+    bench.run(3)
     old.link.close()
+    bench.run(1)
     new = bench.join("a1", silent)
     bench.run(1)
-    new.command(LOST_AFTER - 1, 99.0)
+    for tick in (0, 2):
+        new.command(tick, 99.0)
     bench.run(1)
     assert bench.commands("a1") == []
-    assert bench.refused("a1") == {Reason.STALE: 1}
+    assert bench.refused("a1") == {Reason.STALE: 2}
+
+
+def test_an_agent_has_a_second_for_its_first_answer_and_no_more() -> None:
+    bench = RealBench()
+    bench.join("a1", silent)
+    bench.join("a2", bench.answering_after(*[None] * 900, 0))
+    bench.run(FIRST_ANSWER_NS // PERIOD_NS + LOST_AFTER - 1)
+    assert bench.phase("a1") is Phase.TICKING
+    bench.run(1)
+    assert bench.phase("a1") is Phase.LOST
+    assert (bench.link("a2").missed, bench.link("a2").excused) == (0, 900)
 
 
 def test_the_leader_has_its_own_period_to_answer_in() -> None:
@@ -319,9 +343,9 @@ def test_the_leader_has_its_own_period_to_answer_in() -> None:
 def test_a_silent_leader_is_lost_after_so_many_of_its_own_periods() -> None:
     bench = RealBench(("a1",), leader=True)
     bench.join("a1")
-    bench.join(LEADER, silent)
-    bench.run(LEADER_EVERY * LOST_AFTER - 1)
+    bench.join(LEADER, bench.answering_after(0, None))
+    bench.run(LEADER_EVERY * (1 + LOST_AFTER) - 1)
     assert bench.phase(LEADER) is Phase.TICKING
     bench.run(1)
     assert bench.phase(LEADER) is Phase.LOST
-    assert bench.forces() == [(0.0, 0.0, 0.0)]
+    assert bench.forces() == [(3.0, 0.0, 0.0), (0.0, 0.0, 0.0)]

@@ -121,6 +121,8 @@ class AgentLink:
     longest_miss: int = 0
     """The most ticks missed in a row so far."""
     states_sent: int = 0
+    excused: int = 0
+    """Ticks that this instance has not answered before its first answer, and that were not counted as missed."""
     refused: dict[str, int] = field(default_factory=dict)
     _greeted_after: int = -1
     """The newest tick that went to an instance before this one."""
@@ -145,7 +147,7 @@ class AgentLink:
         self._move(Event.GREETED)
         self.lease += 1
         self.open_tick = self.answered_tick = None
-        self.missed_in_row = 0
+        self.missed_in_row = self.excused = 0
         self._greeted_after = self.last_tick
         return self.lease
 
@@ -226,6 +228,13 @@ class AgentLink:
             return False
         self._move(Event.STRUCK_OUT)
         return True
+
+    def excuse(self) -> None:
+        """Give the open tick up without counting it: this instance has not come to its first answer yet."""
+        if self.open_tick is None or self.answered_tick is not None:
+            raise MisuseError(f"agent {self.invitation.name}: no open tick to excuse before a first answer")
+        self.open_tick = None
+        self.excused += 1
 
     def vanish(self) -> bool:
         """The agent's sign of life is gone. True if that loses it (it does not if it had left already)."""
