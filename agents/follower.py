@@ -108,13 +108,15 @@ def run_follower(link: Link, settings: FollowerSettings) -> str:
     welcome = session.join(settings.join_timeout_s)
     log.info("arm %s: joined, %s clock, period %d ns", settings.arm, welcome.clock, welcome.control_period_ns)
     period_s = 1e-9 * welcome.control_period_ns
-    timeout_s = settings.state_timeout_s if welcome.clock == "real-time" else 1.0
+    in_real_time = welcome.clock == "real-time"
+    receive = session.receive_newest if in_real_time else session.receive
+    timeout_s = settings.state_timeout_s if in_real_time else 1.0
     holding = False
     try:
         while True:
-            state = session.receive(timeout_s)
+            state = receive(timeout_s)
             if state is None:
-                hold = follower.hold(session.lease) if welcome.clock == "real-time" and not holding else None
+                hold = follower.hold(session.lease) if in_real_time and not holding else None
                 if hold is not None:
                     holding = True
                     session.send(hold)

@@ -113,10 +113,11 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
         )
     point_O = np.array(welcome.points[settings.point])
     settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
+    receive = session.receive_newest if welcome.clock == "real-time" else session.receive
     log.info("leader: joined, pulling %s towards %s", settings.point, settings.goal_m)
     try:
         while True:
-            view = session.receive(1.0)
+            view = receive(1.0)
             if isinstance(view, LeaderView):
                 force = pull(view, point_O, settings)
                 session.send(LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist())))

@@ -113,6 +113,13 @@ class AgentSession:
             return message
         return None
 
+    def receive_newest(self, timeout_s: float) -> State | LeaderView | None:
+        """As :meth:`receive`, but of those that have piled up only the last: in real time the others are history."""
+        message = self.receive(timeout_s)
+        while not self._inbox.empty():
+            message = self.receive(0.0) or message
+        return message
+
     def refuse(self, refusal: Refused) -> None:
         """Count a message that does not fit and report the first of its kind."""
         self._refused[refusal.reason] += 1

@@ -29,6 +29,8 @@ class PatientConsole(Console):
         raise SystemExit(COULD_NOT_RUN)
 
 
+NOT_SHOWN = ("verdict", "tick_parts_us", "tick_late_histogram_us")
+"""In metrics.json only: too long for a line."""
 VERDICT_STYLE = {"holds": "green", "violated": "bold red", "unknown": "yellow"}
 
 
@@ -66,7 +68,7 @@ def _plain_lines(console: Console) -> Show:
         now = 10 * progress.tick // progress.ticks
         if progress.phase == "running" and now > tenth:
             tenth = now
-            console.print(_numbers(progress), highlight=False)
+            console.print(_numbers(progress), highlight=False, soft_wrap=True)
 
     return show
 
@@ -75,7 +77,11 @@ def _numbers(progress: Progress) -> str:
     total = progress.time_s * progress.ticks / progress.tick if progress.tick else 0.0
     text = f"{progress.time_s:5.1f} of {total:.0f} s, x{progress.real_time_factor:.2f} real time, "
     text += f"tilt {progress.tilt_deg:.2f} deg"
-    return text + (f", {progress.goal_distance_m:.2f} m to the goal" if progress.goal_distance_m >= 0 else "")
+    if progress.goal_distance_m >= 0:
+        text += f", {progress.goal_distance_m:.2f} m to the goal"
+    if progress.missed_ticks or progress.age_max_ticks:
+        text += f", {progress.missed_ticks} ticks missed, oldest command {progress.age_max_ticks}"
+    return text
 
 
 def print_metrics(console: Console, metrics: Mapping[str, Any], judged: Sequence[Judged]) -> None:
@@ -88,11 +94,18 @@ def print_metrics(console: Console, metrics: Mapping[str, Any], judged: Sequence
         style = VERDICT_STYLE[row.verdict]
         table.add_row(escape(name), _text(metrics.get(name)), row.expected, f"[{style}]{row.verdict}[/]")
     for name, value in metrics.items():
-        if name not in rows and name not in ("verdict", "tick_parts_us") and value is not None:
+        if name == "age_ticks":
+            table.add_row(escape("commands in time"), _in_time(value), "", "", style="dim")
+        elif name not in rows and name not in NOT_SHOWN and value is not None:
             table.add_row(escape(name), _text(value), "", "", style="dim" if isinstance(value, dict) else "")
     console.print(table)
     verdict = metrics["verdict"]
     console.print(f"verdict: [{VERDICT_STYLE[verdict]}]{verdict}[/]")
+
+
+def _in_time(ages: Mapping[str, Mapping[str, int]]) -> str:
+    """Part of the ticks in which each agent's command answered that very tick."""
+    return "  ".join(f"{name} {100.0 * each.get('0', 0) / sum(each.values()):.1f} %" for name, each in ages.items())
 
 
 def _text(value: Any) -> str:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import queue
 import time
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from sim_server.plant import Plant
+from sim_server.punctuality import Punctuality
 from sim_server.reception import LEADER, Agent, Arrived, Reception, Report
 from wire.codec import decode, encode
 from wire.errors import Reason, Refused
@@ -39,33 +41,33 @@ class Stopped(Exception):
     """The operator ordered a stop."""
 
 
-class LockStep:
-    """Drives a plant and its agents tick by tick.
+class Ticker(ABC):
+    """What every clock does: drives a plant and its agents tick by tick. How long it waits for whom is the clock's own.
 
     Args:
         reception: who is in.
         plant: what moves.
         period_ns: simulated time of a tick.
         leader_every: the leader sees and pulls every so many ticks.
-        answer_timeout_s: wall time to wait for an answer.
         report: where events go.
     """
 
     def __init__(
-        self,
-        reception: Reception,
-        plant: Plant,
-        *,
-        period_ns: int,
-        leader_every: int,
-        answer_timeout_s: float,
-        report: Report,
+        self, reception: Reception, plant: Plant, *, period_ns: int, leader_every: int, report: Report
     ) -> None:
         self._reception, self._plant, self._report = reception, plant, report
         self._period_ns, self._leader_every = period_ns, leader_every
-        self._answer_timeout_s = answer_timeout_s
         self._waiting: set[str] = set()
         self.timings = Timings()
+        self.punctuality = Punctuality()
+
+    @abstractmethod
+    def _gather(self, tick: int) -> None:
+        """Take in what arrives for this tick, and count as missed what does not."""
+
+    @abstractmethod
+    def _accept(self, agent: Agent, message: Command | LeaderForce) -> None:
+        """Raises :class:`Refused` if this answer does not count."""
 
     def tick(self, tick: int) -> None:
         """One tick up to, and without, the plant's step. Raises :class:`Stopped`."""
@@ -73,7 +75,7 @@ class LockStep:
         self.admit()
         self._send(tick)
         sent = time.perf_counter_ns()
-        self._gather()
+        self._gather(tick)
         done = time.perf_counter_ns()
         self.timings.send.append(sent - start)
         self.timings.wait.append(done - sent)
@@ -119,23 +121,6 @@ class LockStep:
             if not agent.link.missed_in_row:
                 self._waiting.add(name)
 
-    def _gather(self) -> None:
-        """Take in what arrives until everybody who is waited for has answered, is gone, or has run out of time."""
-        inbox = self._reception.inbox
-        deadline = time.monotonic() + self._answer_timeout_s
-        while self._waiting:
-            try:
-                arrived = inbox.get(timeout=max(0.0, deadline - time.monotonic()))
-            except queue.Empty:
-                break
-            self.take(arrived)
-        while not inbox.empty():
-            self.take(inbox.get())
-        self._waiting.clear()
-        for name, agent in self._reception.agents.items():
-            if agent.link.open_tick is not None:
-                self._miss(name, agent)
-
     def take(self, arrived: Arrived) -> None:
         """Deal with one thing from the inbox. Raises :class:`Stopped`."""
         if arrived.kind == "answer":
@@ -158,7 +143,7 @@ class LockStep:
                 self._pull(agent, decode(payload, LeaderForce))
             else:
                 command = decode(payload, Command)
-                agent.link.answer(command)
+                self._accept(agent, command)
                 self._plant.command(name, command.torque, command.base_force, command.stiffness)
                 self.timings.controller.append(command.step_ns)
         except Refused as refusal:
@@ -167,7 +152,7 @@ class LockStep:
             self._waiting.discard(name)
 
     def _pull(self, agent: Agent, force: LeaderForce) -> None:
-        agent.link.answer(force)  # in time it is, even if what it wants is refused: the pull before stays
+        self._accept(agent, force)  # in time it is, even if what it wants is refused: the pull before stays
         if force.point not in agent.terms.points:
             raise Refused(Reason.POINT, "point", force.point, ", ".join(sorted(agent.terms.points)))
         size, most = float(np.linalg.norm(force.force)), agent.terms.force_max_N
@@ -203,3 +188,44 @@ class LockStep:
             self._plant.pull("centre", np.zeros(3))
         else:
             self._plant.lose(name)
+
+
+class LockStep(Ticker):
+    """Waits for everybody: see the module.
+
+    Args:
+        answer_timeout_s: wall time to wait for an answer.
+    """
+
+    def __init__(
+        self,
+        reception: Reception,
+        plant: Plant,
+        *,
+        period_ns: int,
+        leader_every: int,
+        answer_timeout_s: float,
+        report: Report,
+    ) -> None:
+        super().__init__(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report)
+        self._answer_timeout_s = answer_timeout_s
+
+    def _accept(self, agent: Agent, message: Command | LeaderForce) -> None:
+        agent.link.answer(message)
+
+    def _gather(self, tick: int) -> None:
+        """Take in what arrives until everybody who is waited for has answered, is gone, or has run out of time."""
+        inbox = self._reception.inbox
+        deadline = time.monotonic() + self._answer_timeout_s
+        while self._waiting:
+            try:
+                arrived = inbox.get(timeout=max(0.0, deadline - time.monotonic()))
+            except queue.Empty:
+                break
+            self.take(arrived)
+        while not inbox.empty():
+            self.take(inbox.get())
+        self._waiting.clear()
+        for name, agent in self._reception.agents.items():
+            if agent.link.open_tick is not None:
+                self._miss(name, agent)

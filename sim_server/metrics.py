@@ -44,6 +44,10 @@ METRICS: Mapping[str, str] = {
     "energy_J": "work that motors and bases did or took up",
     "real_time_factor": "simulated time over wall time",
     "wall_s": "wall time of the run",
+    "missed_percent": "part of the arms' ticks in which no new command came",
+    "missed_in_row_max": "most ticks in a row that one arm missed",
+    "age_max_ticks": "oldest command that an arm obeyed, in ticks from the state it answers; real time only",
+    "slowed_s": "wall time that simulated time fell behind for good; real time only",
     "refused_messages": "messages that did not fit and were refused",
 }
 """Every metric that is one number, by its name in metrics.json and in a scenario's ``[expect]``, and its meaning."""

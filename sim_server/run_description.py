@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sim_server.clock import Clock
 from sim_server.lockstep import Timings
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import Agent, Reception
@@ -32,7 +33,7 @@ class Ending:
 
 
 def describe_run(
-    run: str, named: NamedScenario, plant: MujocoPlant, reception: Reception, timings: Timings, ending: Ending
+    run: str, named: NamedScenario, plant: MujocoPlant, reception: Reception, clock: Clock, ending: Ending
 ) -> dict[str, Any]:
     """The content of run.json."""
     scenario = named.scenario
@@ -49,7 +50,8 @@ def describe_run(
         "agents": describe_agents(reception),
         "strangers_refused": reception.strangers,
         "facts": _facts(plant.world),
-        "measured": _measured(plant.time_s, timings, reception.refused(), ending.wall_s),
+        "measured": _measured(plant.time_s, clock.timings, reception.refused(), ending.wall_s)
+        | clock.punctuality.describe(reception.agents),
     }
 
 

@@ -20,6 +20,8 @@ Mass = Annotated[float, Field(strict=True, ge=1e-3, le=1e4, allow_inf_nan=False)
 Size = Annotated[float, Field(strict=True, ge=1e-2, le=100, allow_inf_nan=False)]
 Offset = Annotated[float, Field(strict=True, ge=-100, le=100, allow_inf_nan=False)]
 
+REAL_TIME_PERIODS_MS = (1, 2, 4)
+
 LoadPoint = Literal["centre", "front", "back", "left", "right"]
 
 
@@ -32,7 +34,8 @@ class Section(BaseModel):
 class Clock(Section):
     """How simulated time relates to the agents' answers."""
 
-    mode: Literal["lock-step"] = "lock-step"
+    mode: Literal["lock-step", "real-time"] = "lock-step"
+    """``lock-step``: simulated time waits for every answer. ``real-time``: it follows the wall clock."""
     control_period_ms: Annotated[int, Field(strict=True, ge=1, le=20)] = 1
     """Time from one tick to the next; the control law runs once per tick."""
     answer_timeout_s: Positive = 5.0
@@ -174,6 +177,10 @@ class Scenario(Section):
             raise ValueError(
                 f"clock.control_period_ms: {self.clock.control_period_ms} is not a multiple of "
                 f"plant.physics_step_ms = {self.plant.physics_step_ms}"
+            )
+        if self.clock.mode == "real-time" and self.clock.control_period_ms not in REAL_TIME_PERIODS_MS:
+            raise ValueError(
+                f"clock.control_period_ms: {self.clock.control_period_ms} in real time, where it is 1, 2 or 4"
             )
         if self.leader and self.leader.period_ms % self.clock.control_period_ms:
             raise ValueError(

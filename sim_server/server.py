@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from sim_server.audit import Auditor
+from sim_server.clock import make_clock
 from sim_server.connections import connections_of
 from sim_server.errors import PlantFailed, ScenarioError, SimError
 from sim_server.layout import LayoutError
-from sim_server.lockstep import LockStep, Stopped
+from sim_server.lockstep import Stopped
 from sim_server.metrics import tilt_deg
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import LEADER, Arrived, Reception, Terms
@@ -98,15 +99,7 @@ class Server:
             connections_of(listening, self._reception.tallies),
             names_proven=names_proven,
         )
-        leader = self._scenario.leader
-        self._clock = LockStep(
-            self._reception,
-            self._plant,
-            period_ns=self._scenario.clock.control_period_ms * 1_000_000,
-            leader_every=leader.period_ms // self._scenario.clock.control_period_ms if leader else 1,
-            answer_timeout_s=self._scenario.clock.answer_timeout_s,
-            report=self._report,
-        )
+        self._clock = make_clock(self._scenario, self._reception, self._plant, self._report)
         self._start_wall = 0.0
         self._last_progress = 0.0
         self._started_at = datetime.now(UTC)
@@ -210,7 +203,7 @@ class Server:
         ending = Ending(completed, why, wall_s, self._started_at)
         write_json(
             folder / RUN,
-            describe_run(self._run_name, self._named, self._plant, self._reception, self._clock.timings, ending),
+            describe_run(self._run_name, self._named, self._plant, self._reception, self._clock, ending),
         )
         verdict: Verdict = "unknown"
         if self._plant.tick:
@@ -244,6 +237,8 @@ class Server:
                     real_time_factor=self._plant.time_s / wall_s if self._plant.tick else 0.0,
                     tilt_deg=float(tilt_deg(pose.quat_wxyz[None])[0]),
                     goal_distance_m=distance,
+                    missed_ticks=sum(agent.link.missed for agent in self._reception.followers.values()),
+                    age_max_ticks=self._clock.punctuality.oldest,
                 )
             )
         )

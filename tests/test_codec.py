@@ -123,6 +123,8 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
         real_time_factor=finite,
         tilt_deg=finite,
         goal_distance_m=finite,
+        missed_ticks=integers,
+        age_max_ticks=integers,
     ),
     "order": st.builds(Order, verb=st.just("stop")),
 }
@@ -140,7 +142,7 @@ SAMPLES: dict[str, Message] = {
     "leader_force": LeaderForce(20, 1, "front", (40.0, 0.0, 0.0)),
     "goodbye": Goodbye("a1", 2),
     "end": End("over", "the run is over"),
-    "progress": Progress("running", "", 100, 30_000, 0.1, 0.9, 1.25, -1.0),
+    "progress": Progress("running", "", 100, 30_000, 0.1, 0.9, 1.25, -1.0, 7, 3),
     "order": Order("stop"),
 }
 SLOW_MACHINE: Any = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}

@@ -12,13 +12,14 @@ import pytest
 
 from agents.arm_model import ArmModel
 from agents.errors import AgentError, NotWelcome
-from agents.follower import FollowerSettings, run_follower
+from agents.follower import Follower, FollowerSettings, run_follower
 from agents.leader import LeaderSettings, bounded_pull, pull, rotate, run_leader
+from agents.session import AgentSession, RunEnded
 from wire.codec import decode, encode
 from wire.errors import Reason
 from wire.keys import Keys
 from wire.memory import Broker, MemoryQuestion
-from wire.messages import Command, End, LeaderForce, LeaderView, Refusal, State, Vector, Welcome
+from wire.messages import Command, End, Hello, LeaderForce, LeaderView, Refusal, State, Vector, Welcome
 
 DEADLINE_S = 10.0
 KEYS = Keys("test")
@@ -111,6 +112,50 @@ def test_in_real_time_a_follower_holds_its_arm_up_when_states_stop_coming() -> N
     assert hold.stiffness == ZERO
     simulator.state.put(state(6))
     assert simulator.command().tick == 6, "when states come again it goes on"
+
+
+def joined(simulator: PlayedSimulator) -> AgentSession:
+    hello = Hello("follower", "test", "a1", "panda", "", 1, "here")
+    session = AgentSession(simulator.broker.link(), KEYS.arm("a1"), KEYS.sim_alive, hello)
+    session.join(DEADLINE_S)
+    return session
+
+
+def test_of_states_that_have_piled_up_only_the_newest_counts_in_real_time() -> None:
+    simulator = PlayedSimulator("real-time")
+    session = joined(simulator)
+    for tick in (4, 5, 6):
+        simulator.state.put(state(tick))
+    simulator.state.put(b"\xc1 garbage")
+    newest = session.receive_newest(0.0)
+    assert newest is not None
+    assert newest.tick == 6
+    assert session.receive_newest(0.0) is None
+
+
+def test_the_end_is_heard_even_where_states_have_piled_up() -> None:
+    simulator = PlayedSimulator("real-time")
+    session = joined(simulator)
+    simulator.state.put(state(4))
+    simulator.state.put(encode(End("over", "enough")))
+    with pytest.raises(RunEnded, match="enough"):
+        session.receive_newest(0.0)
+
+
+def test_a_follower_that_skipped_states_takes_the_time_between_them_from_the_states() -> None:
+    """The law of a follower that saw ticks 1 and 9 has lived through 8 ms: no less than one that is told so."""
+    torques = []
+    for last, period_s in ((9, 0.001), (9, 0.5)):
+        follower = Follower(SETTINGS)
+        moved = (*Q[:3], -2.0, *Q[4:])
+        for tick, q in ((1, Q), (last, moved)):
+            command = follower.answer(decode(state(tick, q=q), State), 3, period_s)
+        torques.append(command.torque)
+    other = Follower(SETTINGS)
+    other.answer(decode(state(8), State), 3, 0.001)
+    nearer = other.answer(decode(state(9, q=moved), State), 3, 0.001).torque
+    assert torques[0] == torques[1], "the period counts for the first state only"
+    assert torques[0] != nearer, "8 ms are not 1 ms"
 
 
 def test_in_lock_step_silence_is_not_answered_since_time_stands_still() -> None:

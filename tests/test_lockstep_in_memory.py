@@ -18,7 +18,7 @@ from processes import read_events, read_json
 
 from agents.follower import Follower, FollowerSettings
 from agents.leader import LeaderSettings, pull
-from sim_server.lockstep import LockStep, Stopped
+from sim_server.lockstep import LockStep, Stopped, Ticker
 from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.reception import LEADER, Reception, Terms
 from sim_server.run_folder import RunFolder
@@ -167,7 +167,7 @@ class Bench:
             invitation = Invitation(RUN, "leader", LEADER, "", "", 0, LOST_AFTER)
             guests.append((invitation, Terms("lock-step", LEADER_EVERY * PERIOD_NS, points, FORCE_MAX_N)))
         self.reception = Reception(self.broker.link(), Keys(RUN), guests, self._report)
-        self.clock = LockStep(
+        self.clock: Ticker = LockStep(
             self.reception,
             self.plant,
             period_ns=PERIOD_NS,

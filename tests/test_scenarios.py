@@ -64,6 +64,19 @@ def test_fixed_stiffness_is_the_same_carry_but_for_the_stiffness() -> None:
     assert adaptive == fixed
 
 
+def test_real_time_is_the_same_carry_but_for_the_clock() -> None:
+    steps, real = (load_scenario(name).scenario for name in ("transport", "transport-real-time"))
+    assert (real.clock.mode, real.clock.control_period_ms) == ("real-time", 4)
+    for metric, bound in steps.expect.items():
+        assert real.expect[metric] == bound
+    assert real.expect["real_time_factor"].min == 0.95
+    same = {"clock", "leader", "expect", "description"}
+    assert real.model_dump(exclude=same) == steps.model_dump(exclude=same)
+    assert real.leader is not None
+    assert steps.leader is not None
+    assert real.leader.model_dump(exclude={"period_ms"}) == steps.leader.model_dump(exclude={"period_ms"})
+
+
 # extends, --set
 
 

@@ -183,6 +183,8 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
             "real_time_factor": _number,
             "tilt_deg": _number,
             "goal_distance_m": _number,
+            "missed_ticks": _integer,
+            "age_max_ticks": _integer,
         },
     ),
     "order": (Order, {"verb": _one_of("stop")}),

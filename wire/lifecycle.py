@@ -114,9 +114,18 @@ class AgentLink:
     """The tick whose state is out and not yet answered or given up."""
     last_tick: int = -1
     """The newest tick whose state went out."""
+    answered_tick: int | None = None
+    """The newest tick that this instance has answered."""
     missed_in_row: int = 0
     missed: int = 0
+    longest_miss: int = 0
+    """The most ticks missed in a row so far."""
+    states_sent: int = 0
+    excused: int = 0
+    """Ticks that this instance has not answered before its first answer, and that were not counted as missed."""
     refused: dict[str, int] = field(default_factory=dict)
+    _greeted_after: int = -1
+    """The newest tick that went to an instance before this one."""
 
     def _move(self, event: Event) -> None:
         try:
@@ -137,8 +146,9 @@ class AgentLink:
             )
         self._move(Event.GREETED)
         self.lease += 1
-        self.open_tick = None
-        self.missed_in_row = 0
+        self.open_tick = self.answered_tick = None
+        self.missed_in_row = self.excused = 0
+        self._greeted_after = self.last_tick
         return self.lease
 
     def matched(self) -> None:
@@ -153,9 +163,42 @@ class AgentLink:
             raise MisuseError(f"agent {self.invitation.name}: tick {tick} sent while {self.open_tick} is open")
         self._move(Event.STATE_SENT)
         self.open_tick = self.last_tick = tick
+        self.states_sent += 1
 
     def answer(self, message: Command | LeaderForce) -> None:
         """Accept the answer to the open tick. Raises :class:`Refused` for any other; then nothing has changed."""
+        self._check_answer(message)
+        if message.tick < self.last_tick:
+            raise Refused(Reason.STALE, "tick", message.tick, self.last_tick)
+        if self.open_tick is None and self.missed_in_row:
+            raise Refused(Reason.STALE, "tick", message.tick, "its answer before the tick was given up")
+        if self.open_tick is None:
+            raise Refused(Reason.DUPLICATE, "tick", message.tick, "one answer per tick")
+        self._take(message.tick)
+
+    def answer_latest(self, message: Command | LeaderForce) -> None:
+        """Real time: accept an answer to any tick since the newest one answered, for a late one is better than none.
+
+        A second answer to a tick is accepted too when newer states are out: so an agent holds that hears them no more.
+        It replaces the first, but it is no sign that anybody follows: the tick stays open. Raises :class:`Refused` for
+        anything else; then nothing has changed.
+        """
+        self._check_answer(message)
+        newest = self._greeted_after if self.answered_tick is None else self.answered_tick
+        if message.tick < newest or (message.tick == newest and self.answered_tick is None):
+            raise Refused(Reason.STALE, "tick", message.tick, f"more than {newest}")
+        if message.tick == newest == self.last_tick:
+            raise Refused(Reason.DUPLICATE, "tick", message.tick, "one answer per tick")
+        if message.tick > newest:
+            self._take(message.tick)
+
+    def _take(self, tick: int) -> None:
+        self._move(Event.ANSWERED)
+        self.answered_tick = tick
+        self.open_tick = None
+        self.missed_in_row = 0
+
+    def _check_answer(self, message: Command | LeaderForce) -> None:
         if isinstance(message, Command):
             self._check_command(message)
         if message.lease != self.lease:
@@ -164,15 +207,6 @@ class AgentLink:
             raise Refused(Reason.PHASE, "answer", f"one while {self.phase}", Phase.TICKING)
         if message.tick > self.last_tick:
             raise Refused(Reason.FUTURE, "tick", message.tick, f"at most {self.last_tick}")
-        if message.tick < self.last_tick:
-            raise Refused(Reason.STALE, "tick", message.tick, self.last_tick)
-        if self.open_tick is None and self.missed_in_row:
-            raise Refused(Reason.STALE, "tick", message.tick, "its answer before the tick was given up")
-        if self.open_tick is None:
-            raise Refused(Reason.DUPLICATE, "tick", message.tick, "one answer per tick")
-        self._move(Event.ANSWERED)
-        self.open_tick = None
-        self.missed_in_row = 0
 
     def _check_command(self, command: Command) -> None:
         if command.arm != self.invitation.name:
@@ -189,10 +223,18 @@ class AgentLink:
         self.open_tick = None
         self.missed += 1
         self.missed_in_row += 1
+        self.longest_miss = max(self.longest_miss, self.missed_in_row)
         if self.missed_in_row < self.invitation.lost_after:
             return False
         self._move(Event.STRUCK_OUT)
         return True
+
+    def excuse(self) -> None:
+        """Give the open tick up without counting it: this instance has not come to its first answer yet."""
+        if self.open_tick is None or self.answered_tick is not None:
+            raise MisuseError(f"agent {self.invitation.name}: no open tick to excuse before a first answer")
+        self.open_tick = None
+        self.excused += 1
 
     def vanish(self) -> bool:
         """The agent's sign of life is gone. True if that loses it (it does not if it had left already)."""

@@ -154,6 +154,10 @@ class Progress:
     tilt_deg: float
     goal_distance_m: float
     """Negative when there is no goal."""
+    missed_ticks: int
+    """Ticks that arms have missed so far, all arms together."""
+    age_max_ticks: int
+    """Real time: the oldest command that an arm has obeyed so far, in ticks from the state it answers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,68 @@
+"""How well everybody kept time: ticks missed, ages of the commands obeyed, and how late the server itself was."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sim_server.reception import LEADER, Agent
+
+LATE_UP_TO_US = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
+"""Upper edges of the histogram of late starts."""
+
+
+@dataclass(slots=True)
+class Punctuality:
+    """What a clock notes while it runs. Under lock-step only the misses mean anything: the rest stays empty."""
+
+    ages: dict[str, Counter[int]] = field(default_factory=dict)
+    """Per agent: in how many ticks the command in force was that old. The age is the number of ticks from the state
+    that it answers to the tick that it acts in: 0 is in time."""
+    late_ns: list[int] = field(default_factory=list)
+    """How late each tick began, by the wall clock."""
+    oldest: int = 0
+    """The greatest age so far, of an arm's command."""
+    slowed_ns: int = 0
+    """Wall time that simulated time was let fall behind, because the machine could not keep up."""
+
+    def note_age(self, name: str, age: int) -> None:
+        """The command of this agent that acts in this tick is so old."""
+        self.ages.setdefault(name, Counter())[age] += 1
+        if name != LEADER:
+            self.oldest = max(self.oldest, age)
+
+    def describe(self, agents: Mapping[str, Agent]) -> dict[str, Any]:
+        """Everything for run.json; the histograms only in real time."""
+        arms = [agent.link for name, agent in agents.items() if name != LEADER]
+        sent = sum(link.states_sent for link in arms)
+        in_real_time = bool(self.late_ns)
+        found: dict[str, Any] = {
+            "missed_percent": 100.0 * sum(link.missed for link in arms) / sent if sent else 0.0,
+            "missed_in_row_max": max((link.longest_miss for link in arms), default=0),
+            "age_max_ticks": self.oldest if in_real_time else None,
+            "slowed_s": 1e-9 * self.slowed_ns if in_real_time else None,
+        }
+        if in_real_time:
+            late_us = np.array(self.late_ns) / 1e3
+            found |= {
+                "missed_ticks": {name: agent.link.missed for name, agent in agents.items()},
+                "age_ticks": {name: {str(age): ages[age] for age in sorted(ages)} for name, ages in self.ages.items()},
+                "tick_late_us": {
+                    "p50": float(np.percentile(late_us, 50)),
+                    "p99": float(np.percentile(late_us, 99)),
+                    "max": float(late_us.max()),
+                },
+                "tick_late_histogram_us": self._late_histogram(),
+            }
+        return found
+
+    def _late_histogram(self) -> dict[str, int]:
+        """Ticks by how late they began: ``"50"`` counts those above the edge before it and up to 50 us."""
+        found = Counter(bisect_left(LATE_UP_TO_US, late / 1e3) for late in self.late_ns)
+        edges = [*(str(edge) for edge in LATE_UP_TO_US), "more"]
+        return {edge: found[k] for k, edge in enumerate(edges)}
