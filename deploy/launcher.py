@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.deeds import Doer
 from deploy.room import Rooms, room_environment
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario
@@ -87,6 +88,7 @@ class Launcher:
         self._scenario_arguments, self._scenario = scenario_arguments, scenario
         self._run, self._endpoint, self._folder, self._guests = run, endpoint, folder, guests
         self._children: list[Child] = []
+        self._agents: dict[str, list[str]] = {}
         self._logs = folder / LOGS
         self._rooms = Rooms()
 
@@ -102,9 +104,13 @@ class Launcher:
         if self._scenario.leader is not None:
             agents[Role.LEADER] = ["leader", *leader_arguments(self._scenario)]
         for name, arguments in agents.items():
-            access, secret = self._agent_access(name)
-            arguments += [*common, "--connect", self._endpoint, *access]
-            self._spawn(name, arguments, secret, self._rooms.make())
+            self._agents[str(name)] = [*arguments, *common, "--connect", self._endpoint]
+            self._start_agent(str(name))
+
+    def _start_agent(self, name: str) -> None:
+        """Start an agent's process, for the first time or again: with the same credential, in a room of its own."""
+        access, secret = self._agent_access(name)
+        self._spawn(name, [*self._agents[name], *access], secret, self._rooms.make())
 
     def _sim_access(self) -> tuple[list[str], bytes]:
         """How the simulator learns whom to let in: arguments, and what it reads first on its standard input."""
@@ -116,7 +122,11 @@ class Launcher:
 
     def _spawn(self, name: str, arguments: Sequence[str], secret: bytes, room: Path | None = None) -> None:
         """Start a process; one with a ``room`` gets nothing else of this machine than that."""
-        log = self._logs / f"{name}.log"
+        before = [child for child in self._children if child.name == name]
+        log = self._logs / (f"{name}.{len(before) + 1}.log" if before else f"{name}.log")
+        for child in before:  # it has ended
+            if child.process.stdin is not None:
+                child.process.stdin.close()
         environment = room_environment(os.environ, room, Path.cwd()) if room else os.environ
         with log.open("wb") as output:
             process = subprocess.Popen(
@@ -158,6 +168,7 @@ class Launcher:
         started = False
         news: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         link.subscribe(Keys(self._run).progress, news.put)
+        doer = Doer(link, self._run, self._process_of, self._start_agent)
         while self.sim.process.poll() is None:
             while not news.empty():
                 progress = decode(news.get(), Progress)
@@ -169,9 +180,13 @@ class Launcher:
                 return Ended(
                     failed.process.returncode, f"{failed.name} ended before the first tick: {failed.last_words()}"
                 )
-            time.sleep(POLL_S)
+            doer.do_for(POLL_S)
         status = self.sim.process.returncode
         return Ended(status, "" if status in (0, 1) else f"the simulator: {self.sim.last_words()}")
+
+    def _process_of(self, name: str) -> subprocess.Popen[bytes] | None:
+        """The newest process of an agent."""
+        return next((child.process for child in reversed(self._children[1:]) if child.name == name), None)
 
     def _failed_agent(self) -> Child | None:
         return next((child for child in self._children[1:] if child.process.poll() not in (None, 0)), None)
@@ -198,7 +213,8 @@ class Launcher:
                 time.sleep(POLL_S)
         for child in self._children:
             if child.process.stdin is not None:
-                child.process.stdin.close()
+                with suppress(BrokenPipeError):
+                    child.process.stdin.close()
         self._rooms.clear()
 
 

@@ -17,9 +17,10 @@ import numpy as np
 from sim_server.plant import Plant
 from sim_server.punctuality import Punctuality
 from sim_server.reception import LEADER, Agent, Arrived, Reception, Report
-from wire.codec import decode, encode
+from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
-from wire.messages import Command, End, LeaderForce, LeaderView, Order, State
+from wire.lifecycle import Phase
+from wire.messages import Command, Done, End, LeaderForce, LeaderView, Order, State
 
 
 @dataclass(slots=True)
@@ -49,15 +50,28 @@ class Ticker(ABC):
         plant: what moves.
         period_ns: simulated time of a tick.
         leader_every: the leader sees and pulls every so many ticks.
+        when_lost: what the plant does with a lost arm, for the report.
         report: where events go.
     """
 
     def __init__(
-        self, reception: Reception, plant: Plant, *, period_ns: int, leader_every: int, report: Report
+        self,
+        reception: Reception,
+        plant: Plant,
+        *,
+        period_ns: int,
+        leader_every: int,
+        report: Report,
+        when_lost: str = "limp",
     ) -> None:
         self._reception, self._plant, self._report = reception, plant, report
         self._period_ns, self._leader_every = period_ns, leader_every
+        self._when_lost = when_lost
         self._waiting: set[str] = set()
+        self._frozen: set[str] = set()
+        self._thawed: set[str] = set()
+        self.done: dict[int, str] = {}
+        """The launcher's reports: number of the deed, and what was in the way."""
         self.timings = Timings()
         self.punctuality = Punctuality()
 
@@ -85,6 +99,20 @@ class Ticker(ABC):
         for name in self._reception.match():
             if name != LEADER and self._reception.agents[name].link.lease > 1:
                 self._plant.regain(name)
+
+    def freeze(self, name: str) -> None:
+        """The agent's process is stopped, and that is known: it cannot answer, so nobody waits for it, and the loss of
+        its sign of life (after half a second of wall time) says nothing new. It is lost by its missed ticks."""
+        self._frozen.add(name)
+
+    def thaw(self, name: str) -> None:
+        """The process runs again, or another takes its place: it is waited for, and its sign of life counts."""
+        self._frozen.discard(name)
+        agent = self._reception.agents[name]
+        if agent.link.phase is Phase.TICKING:
+            self._thawed.add(name)
+            if not agent.alive:
+                self._vanish(name)
 
     def _send(self, tick: int) -> None:
         time_ns = tick * self._period_ns
@@ -118,23 +146,29 @@ class Ticker(ABC):
                 )
             agent.link.state_sent(tick)
             agent.publisher.put(encode(message))
-            if not agent.link.missed_in_row:
+            if name not in self._frozen and (name in self._thawed or not agent.link.missed_in_row):
                 self._waiting.add(name)
+                self._thawed.discard(name)
 
     def take(self, arrived: Arrived) -> None:
         """Deal with one thing from the inbox. Raises :class:`Stopped`."""
         if arrived.kind == "answer":
             self._answer(arrived.name, arrived.payload)
-        elif arrived.kind == "gone":
-            if self._reception.agents[arrived.name].link.vanish():
-                self._lose(arrived.name, "its sign of life is gone")
+        elif arrived.kind in ("alive", "gone"):
+            self._reception.agents[arrived.name].alive = arrived.kind == "alive"
+            if arrived.kind == "gone" and arrived.name not in self._frozen:
+                self._vanish(arrived.name)
         elif arrived.kind == "question" and arrived.question is not None:
             left = self._reception.answer(arrived.question)
             if left is not None:
                 self._waiting.discard(left)
-                self._stop_driving(left)
+                self._stop_driving(left, left=True)
         elif arrived.kind == "order":
             self._obey(arrived.payload)
+
+    def _vanish(self, name: str) -> None:
+        if self._reception.agents[name].link.vanish():
+            self._lose(name, "its sign of life is gone")
 
     def _answer(self, name: str, payload: bytes) -> None:
         agent = self._reception.agents[name]
@@ -164,11 +198,15 @@ class Ticker(ABC):
 
     def _obey(self, payload: bytes) -> None:
         try:
-            decode(payload, Order)
+            message = decode_any(payload)
+            if not isinstance(message, Order | Done):
+                raise Refused(Reason.TYPE, "type", type(message).__name__, "order or done")
         except Refused as refusal:
             self._reception.refuse("", refusal)
-        else:
+            return
+        if isinstance(message, Order):
             raise Stopped
+        self.done[message.number] = message.problem
 
     def _miss(self, name: str, agent: Agent) -> None:
         if agent.link.missed_in_row == 0:
@@ -178,14 +216,19 @@ class Ticker(ABC):
 
     def _lose(self, name: str, why: str) -> None:
         self._waiting.discard(name)
-        self._report("lost", agent=name, why=why, then="stops pulling" if name == LEADER else "limp")
+        agent = self._reception.agents[name]
+        self._frozen.discard(name)
+        then = "stops pulling" if name == LEADER else self._when_lost
+        self._report("lost", agent=name, why=why, missed_ticks=agent.link.missed_in_row, then=then)
         # Should it still be there (it was stopped, or hung) it must not think that it is in.
-        self._reception.agents[name].publisher.put(encode(End("lost", why)))
+        agent.publisher.put(encode(End("lost", why)))
         self._stop_driving(name)
 
-    def _stop_driving(self, name: str) -> None:
+    def _stop_driving(self, name: str, *, left: bool = False) -> None:
         if name == LEADER:
             self._plant.pull("centre", np.zeros(3))
+        elif left:
+            self._plant.let_down(name)
         else:
             self._plant.lose(name)
 
@@ -206,8 +249,11 @@ class LockStep(Ticker):
         leader_every: int,
         answer_timeout_s: float,
         report: Report,
+        when_lost: str = "limp",
     ) -> None:
-        super().__init__(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report)
+        super().__init__(
+            reception, plant, period_ns=period_ns, leader_every=leader_every, report=report, when_lost=when_lost
+        )
         self._answer_timeout_s = answer_timeout_s
 
     def _accept(self, agent: Agent, message: Command | LeaderForce) -> None:

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sim_server.unled_arms import Behaviour, Felt
 
-LIMP_DAMPING_NMS_RAD = 5.0
-"""Joint damping of a lost arm that goes limp."""
+Array = NDArray[np.float64]
 
 
 class MotorDrivers:
@@ -39,7 +38,8 @@ class MotorDrivers:
         """Torques applied now, (N, n) N m."""
         self._ages = [0] * arms
         self._given = [False] * arms
-        self._limp = [False] * arms
+        self._unled: dict[int, Behaviour] = {}
+        self._open: set[int] = set()
         # Commanded, aimed at, and within limits: rows of [torque, base force].
         self._command = np.hstack([start_torque, np.zeros((arms, 3))])
         self._target, self._limited = self._command.copy(), self._command.copy()
@@ -54,9 +54,15 @@ class MotorDrivers:
         return np.array(self._ages)
 
     @property
-    def any_limp(self) -> bool:
-        """Whether :meth:`advance` needs to know the arms' gravity torques and velocities."""
-        return any(self._limp)
+    def any_unled(self) -> bool:
+        """Whether :meth:`advance` needs to know what the drivers feel."""
+        return bool(self._unled)
+
+    def newly_open(self) -> list[int]:
+        """Arms whose hands the drivers have opened; each is named once."""
+        rows = [arm for arm, behaviour in self._unled.items() if not behaviour.holds and arm not in self._open]
+        self._open.update(rows)
+        return rows
 
     def command(self, arm: int, torque: Sequence[float] | Array, base_force: Sequence[float] | Array) -> None:
         """This tick's command of one arm: joint torque (n,) N m, base force (3,) in B."""
@@ -72,30 +78,28 @@ class MotorDrivers:
         self._on_the_way.append(self._command.copy())
         self._target = self._on_the_way.popleft()
 
-    def lose(self, arm: int) -> None:
-        """The arm is lost: it is limp until somebody regains it."""
-        self._limp[arm] = True
+    def leave_to(self, arm: int, behaviour: Behaviour) -> None:
+        """Nobody commands the arm any more: it behaves by itself until somebody regains it."""
+        self._unled[arm] = behaviour
 
     def regain(self, arm: int) -> None:
         """Somebody drives the arm again: it obeys commands, starting from the torque applied now."""
-        self._limp[arm] = False
+        self._unled.pop(arm, None)
         for command in [self._command, *self._on_the_way]:
             command[arm] = (*self.torque[arm], 0.0, 0.0, 0.0)
 
-    def advance(self, dt_s: float, gravity: Array | None = None, qd: Array | None = None) -> None:
+    def advance(self, dt_s: float, felt: Felt | None = None) -> None:
         """Move the applied torques towards their targets within the limits.
 
         Args:
             dt_s: one physics step.
-            gravity: torques that hold the arms themselves up, (N, n) N m: the drivers' own knowledge, for limp arms.
-            qd: joint velocities, (N, n) rad/s.
+            felt: what the drivers feel themselves; needed when an arm is without commands.
         """
         target, limited = self._target, self._limited
-        if gravity is not None and qd is not None and self.any_limp:
+        if felt is not None and self._unled:
             target = target.copy()
-            limp = np.flatnonzero(self._limp)
-            target[limp, :-3] = gravity[limp] - LIMP_DAMPING_NMS_RAD * qd[limp]
-            target[limp, -3:] = 0.0
+            for arm, behaviour in self._unled.items():
+                target[arm, :-3], target[arm, -3:] = behaviour.step(felt.of(arm), self.torque[arm], dt_s)
         np.maximum(target, -self._most, out=limited)
         np.minimum(limited, self._most, out=limited)
         step = self._rate_max * dt_s

@@ -5,23 +5,28 @@ Motor torques and base forces go into ``qfrc_applied``; the leader's pull into `
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_server.bad_grasp import BadGrasp
 from sim_server.errors import PlantFailed
 from sim_server.grips import grip_wrenches
 from sim_server.motor_drivers import MotorDrivers
 from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.sensor_noise import SensorNoise
+from sim_server.unled_arms import Behaviour, Brake, Felt, LetDown, Limp, Release
 from sim_server.world import ArmIds, World
 from wire.arms.limits import arm_limits
 from wire.messages import Vector
 
 Array = NDArray[np.float64]
+
+LOST_ARMS: Mapping[str, Callable[[], Behaviour]] = {"limp": Limp, "brake": Brake, "release": Release}
+"""What a lost arm does, by the scenario's word for it."""
 
 
 class MujocoPlant:
@@ -39,6 +44,10 @@ class MujocoPlant:
         self._dt_s = scenario.plant.physics_step_ms / 1000
         limits, base, arms = arm_limits(scenario.team.arm), scenario.base, list(world.arms.values())
         self._row = {name: row for row, name in enumerate(world.arms)}
+        self._names = list(world.arms)
+        self._slipping: dict[str, BadGrasp] = {}
+        self.opened: list[str] = []
+        """Arms whose hands have opened; whoever reports it takes them out."""
         self._arm_dofs = _indices([ids.arm_dof for ids in arms])
         self._arm_qpos = _indices([ids.arm_qpos for ids in arms])
         self._base_dofs = _indices([ids.base_dof for ids in arms])
@@ -149,9 +158,27 @@ class MujocoPlant:
         self._stiffness[row] = stiffness
 
     def lose(self, arm: str) -> None:
-        """Nobody drives this arm any more: it goes limp."""
-        self._drivers.lose(self._row[arm])
+        """Nobody drives this arm any more: it does what the scenario says of lost arms."""
+        self._leave_to(arm, LOST_ARMS[self.world.scenario.team.when_lost]())
+
+    def let_down(self, arm: str) -> None:
+        """This arm's agent has said goodbye: its share fades, the hand opens, arm and base drive clear."""
+        self._leave_to(arm, LetDown(self.world.scenario.team.leave_s))
+
+    def _leave_to(self, arm: str, behaviour: Behaviour) -> None:
+        self._drivers.leave_to(self._row[arm], behaviour)
         self._stiffness[self._row[arm]] = 0.0
+
+    def loosen(self, arm: str, force_N: float) -> None:
+        """From now on this hand holds badly: softly, with spurious forces of this size per axis."""
+        self._slipping[arm] = BadGrasp(self.world, arm, force_N)
+
+    def open_hand(self, arm: str) -> None:
+        """The hand lets go for good."""
+        if bad := self._slipping.pop(arm, None):
+            bad.end()
+        self._data.eq_active[self.world.arms[arm].weld] = 0
+        self.opened.append(arm)
 
     def regain(self, arm: str) -> None:
         """Somebody drives this arm again."""
@@ -162,8 +189,10 @@ class MujocoPlant:
         drivers = self._drivers
         drivers.tick()
         for _ in range(self._substeps):
-            if drivers.any_limp:
-                drivers.advance(self._dt_s, self._qfrc_bias[self._arm_dofs], self._qvel[self._arm_dofs])
+            if drivers.any_unled:
+                drivers.advance(self._dt_s, self._felt())
+                for row in drivers.newly_open():
+                    self.open_hand(self._names[row])
             else:
                 drivers.advance(self._dt_s)
             self._apply_efforts()
@@ -171,6 +200,17 @@ class MujocoPlant:
         if self._warnings.any():
             self._fail()
         self.tick += 1
+
+    def _felt(self) -> Felt:
+        """What the drivers themselves feel."""
+        q, qd = self._qpos, self._qvel
+        return Felt(
+            self._qfrc_bias[self._arm_dofs],
+            q[self._arm_qpos],
+            qd[self._arm_dofs],
+            q[self._base_qpos],
+            qd[self._base_dofs],
+        )
 
     def _fail(self) -> NoReturn:
         """Say which of MuJoCo's warnings came up: each is a number that is not finite, not sane, or not room enough."""
@@ -191,6 +231,8 @@ class MujocoPlant:
         applied[dofs[:, 2]] = turn
         self._load_force[:] = self._pull_force
         self._load_torque[:] = _cross((self._R_WO @ self._pull_lever).tolist(), self._pull_force.tolist())
+        for bad in self._slipping.values():
+            bad.push(self._dt_s)
 
     def state_row(self) -> tuple[list[Array], Array]:
         """Positions and velocities of this tick: the load's, and the arms' [q, qd, base, base velocity], (N, 2n + 6).

@@ -53,6 +53,8 @@ class Agent:
     terms: Terms
     publisher: Publisher
     hello: Hello | None = None
+    alive: bool = False
+    """Whether its sign of life is there."""
 
     @property
     def is_in(self) -> bool:

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_server.clock import Clock
-from sim_server.lockstep import Timings
+from sim_server.lockstep import Ticker, Timings
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import Agent, Reception
 from sim_server.scenario_files import NamedScenario
@@ -33,7 +32,7 @@ class Ending:
 
 
 def describe_run(
-    run: str, named: NamedScenario, plant: MujocoPlant, reception: Reception, clock: Clock, ending: Ending
+    run: str, named: NamedScenario, plant: MujocoPlant, reception: Reception, clock: Ticker, ending: Ending
 ) -> dict[str, Any]:
     """The content of run.json."""
     scenario = named.scenario

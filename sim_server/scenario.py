@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from sim_server.scenario_events import ScenarioEvent, check_events
+
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
@@ -22,6 +24,7 @@ Offset = Annotated[float, Field(strict=True, ge=-100, le=100, allow_inf_nan=Fals
 
 REAL_TIME_PERIODS_MS = (1, 2, 4)
 
+WhenLost = Literal["limp", "brake", "release"]
 LoadPoint = Literal["centre", "front", "back", "left", "right"]
 
 
@@ -57,8 +60,12 @@ class Team(Section):
     """Time over which a follower's torque passes from what its arm carried at take-over to what the law wants."""
     missed_ticks_until_lost: Annotated[int, Field(strict=True, ge=1)] = 20
     """Ticks without an answer, in a row, after which an arm is lost (as on the arm's own interface)."""
-    on_lost: Literal["limp"] = "limp"
-    """What a lost arm does. ``limp``: gravity compensated and damped, still holding; its base rolls freely."""
+    when_lost: WhenLost = "limp"
+    """What the motor driver does with an arm that nobody commands any more. ``limp``: gravity compensated and damped,
+    still holding; its base rolls freely. ``brake``: joints and base held where they are, still holding. ``release``:
+    the hand opens, the arm draws up and back, the base stops."""
+    leave_s: NotNegative = 2.0
+    """Time over which the motor driver lets an arm's share down after its agent's goodbye."""
 
 
 class Load(Section):
@@ -124,13 +131,6 @@ class Record(Section):
     every_ticks: Annotated[int, Field(strict=True, ge=1)] = 5
 
 
-class Event(Section):
-    """A thing ordered at a simulated time. The kinds come with the issue on coming and going; none exists yet."""
-
-    at_s: NotNegative
-    kind: Literal["none"]
-
-
 class Bound(Section):
     """The bounds of one metric; at least one of the two."""
 
@@ -157,7 +157,7 @@ class Scenario(Section):
     base: Base = Base()
     plant: Plant = Plant()
     record: Record = Record()
-    events: tuple[Event, ...] = ()
+    events: tuple[ScenarioEvent, ...] = ()
     expect: dict[str, Bound] = {}
 
     @field_validator("duration_s")
@@ -187,6 +187,7 @@ class Scenario(Section):
                 f"leader.period_ms: {self.leader.period_ms} is not a multiple of "
                 f"clock.control_period_ms = {self.clock.control_period_ms}"
             )
+        check_events(self.events, self.arms, self.leader is not None, self.duration_s)
         return self
 
     @property

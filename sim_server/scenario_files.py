@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -15,7 +15,12 @@ from pydantic_core import ErrorDetails
 from sim_server.errors import ScenarioError
 from sim_server.metrics import METRICS
 from sim_server.scenario import Scenario
+from sim_server.scenario_events import FailGrasp, ProcessEvent, Verb
 
+EVENT_KINDS: Mapping[str, Any] = {
+    **dict.fromkeys(get_args(Verb), ProcessEvent),
+    "fail_grasp": FailGrasp,
+}
 SHIPPED = Path(__file__).parent / "scenarios"
 
 
@@ -128,22 +133,32 @@ def _is_bound(table: Mapping[str, Any]) -> bool:
 def _explain(path: Path, errors: list[ErrorDetails]) -> ScenarioError:
     """The first thing that is wrong, in our words."""
     first = errors[0]
-    key = ".".join(str(part) for part in first["loc"])
+    key = ".".join(str(part) for part in _written(first["loc"]))
     message = first["msg"].removeprefix("Value error, ")
     more = f" ({len(errors) - 1} more)" if len(errors) > 1 else ""
     if first["type"] == "extra_forbidden":
         return ScenarioError(path.name, key, f"unknown key{more}", expected=_known_keys(first["loc"]))
     if first["type"] == "missing":
         return ScenarioError(path.name, key, f"missing{more}", expected="this key")
+    if first["type"].startswith("union_tag"):
+        known = ", ".join(str(kind) for kind in EVENT_KINDS)
+        return ScenarioError(path.name, f"{key}.kind", f"no such kind of event{more}", expected=f"one of {known}")
     if not key and ": " in message:
         key, message = message.split(": ", 1)
         return ScenarioError(path.name, key, message + more)
     return ScenarioError(path.name, key, f"{message}{more}; got {first['input']!r}")
 
 
+def _written(place: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    """The place as the file has it: an event's kind is no part of it."""
+    return place[:2] + place[3:] if place[:1] == ("events",) else place
+
+
 def _known_keys(place: tuple[int | str, ...]) -> str:
     """The keys that are known where the unknown one stands."""
     model: Any = Scenario
+    if place[0] == "events":
+        model, place = EVENT_KINDS[str(place[2])], place[-1:]
     for part in place[:-1]:
         if part not in model.model_fields:
             continue  # the name of a metric, the number of an event

@@ -16,6 +16,7 @@ from sim_server.audit import Auditor
 from sim_server.clock import make_clock
 from sim_server.connections import connections_of
 from sim_server.errors import PlantFailed, ScenarioError, SimError
+from sim_server.happenings import Happenings, Undone
 from sim_server.layout import LayoutError
 from sim_server.lockstep import Stopped
 from sim_server.metrics import tilt_deg
@@ -24,7 +25,7 @@ from sim_server.reception import LEADER, Arrived, Reception, Terms
 from sim_server.run_description import Ending, describe_agents, describe_run
 from sim_server.run_folder import AUDIT, METRICS, RUN, RunFolder, compute_metrics, write_json
 from sim_server.scenario_files import NamedScenario
-from sim_server.tally import OBSERVERS, CountedPublisher
+from sim_server.tally import OBSERVERS, OPERATOR, CountedPublisher
 from sim_server.trace import TraceWriter
 from sim_server.verdict import Verdict
 from sim_server.world import World, build_world
@@ -100,6 +101,17 @@ class Server:
             names_proven=names_proven,
         )
         self._clock = make_clock(self._scenario, self._reception, self._plant, self._report)
+        deeds = CountedPublisher(link.publisher(keys.deeds), self._reception.tallies.of(OPERATOR, keys.deeds, "to"))
+        self._happenings = Happenings(
+            self._scenario.events,
+            self._reception,
+            self._clock,
+            self._plant,
+            deeds,
+            self._report,
+            period_ms=self._scenario.clock.control_period_ms,
+            start_s=self._scenario.clock.start_timeout_s,
+        )
         self._start_wall = 0.0
         self._last_progress = 0.0
         self._started_at = datetime.now(UTC)
@@ -177,6 +189,7 @@ class Server:
         self._report("started")
         try:
             for tick in range(scenario.ticks):
+                self._happenings.before(tick)
                 clock.tick(tick)
                 before = plant.state_row() if tick % scenario.record.every_ticks == 0 else None
                 stepping = time.perf_counter_ns()
@@ -190,7 +203,7 @@ class Server:
                 clock.timings.record.append(time.perf_counter_ns() - stepped)
         except Stopped:
             return False, "stopped by the operator"
-        except PlantFailed as failure:
+        except (PlantFailed, Undone) as failure:
             return False, str(failure)
         finally:
             trace.close()

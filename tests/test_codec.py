@@ -19,6 +19,8 @@ from wire.messages import (
     MAX_INT,
     MAX_JOINTS,
     Command,
+    Deed,
+    Done,
     End,
     Goodbye,
     Hello,
@@ -50,6 +52,7 @@ LONGEST_TEXT = {
     ("refusal", "text"): 1000,
     ("end", "reason"): 1000,
     ("progress", "waiting_for"): 400,
+    ("done", "problem"): 1000,
 }
 """All other texts have at most 40 characters."""
 
@@ -127,6 +130,10 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
         age_max_ticks=integers,
     ),
     "order": st.builds(Order, verb=st.just("stop")),
+    "deed": st.builds(
+        Deed, number=integers, verb=st.sampled_from(["kill", "stop", "continue", "start", "leave"]), agent=text()
+    ),
+    "done": st.builds(Done, number=integers, problem=text(1000)),
 }
 
 # One of each by hand: the start of every example of what is refused
@@ -144,6 +151,8 @@ SAMPLES: dict[str, Message] = {
     "end": End("over", "the run is over"),
     "progress": Progress("running", "", 100, 30_000, 0.1, 0.9, 1.25, -1.0, 7, 3),
     "order": Order("stop"),
+    "deed": Deed(3, "kill", "a2"),
+    "done": Done(3, ""),
 }
 SLOW_MACHINE: Any = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 """Time is no property that is tested here: a busy machine must not make a test fail."""

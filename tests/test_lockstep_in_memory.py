@@ -79,6 +79,9 @@ class Ledger:
     def lose(self, arm: str) -> None:
         self.book.append(("lose", arm))
 
+    def let_down(self, arm: str) -> None:
+        self.book.append(("let_down", arm))
+
     def regain(self, arm: str) -> None:
         self.book.append(("regain", arm))
 
@@ -407,7 +410,8 @@ def test_an_agent_that_says_goodbye_has_left_and_is_not_lost() -> None:
     assert bench.phase("a1") is Phase.LEFT
     assert bench.reported("left") == [{"agent": "a1"}]
     assert bench.reported("lost") == []
-    assert bench.book.count(("lose", "a1")) == 1  # its arm is limp all the same
+    assert bench.book.count(("let_down", "a1")) == 1
+    assert ("lose", "a1") not in bench.book
 
 
 # The leader's bounds

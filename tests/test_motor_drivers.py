@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim_server.motor_drivers import LIMP_DAMPING_NMS_RAD, MotorDrivers
+from sim_server.motor_drivers import MotorDrivers
+from sim_server.unled_arms import LIMP_DAMPING_NMS_RAD, Felt, Limp
 from wire.arms.limits import arm_limits
 
 Array = NDArray[np.float64]
@@ -28,9 +29,14 @@ def command(motors: MotorDrivers, arm: int, torque: Array, base: tuple[float, fl
     motors.command(arm, torque, np.array(base))
 
 
+def felt(gravity: Array = NOTHING, qd: Array = NOTHING, q: Array = NOTHING) -> Felt:
+    still = np.zeros((len(q), 3))
+    return Felt(gravity, q, qd, still, still)
+
+
 def advance(motors: MotorDrivers, steps: int = 1, gravity: Array = NOTHING, qd: Array = NOTHING) -> None:
     for _ in range(steps):
-        motors.advance(DT_S, gravity, qd)
+        motors.advance(DT_S, felt(gravity, qd))
 
 
 def test_the_pandas_limits_are_the_published_ones() -> None:
@@ -78,7 +84,7 @@ def test_the_rate_limit_is_per_second_not_per_step(dt_s: float) -> None:
     command(motors, 0, START[0] + 50.0)
     motors.tick()
     for _ in range(round(0.010 / dt_s)):
-        motors.advance(dt_s, NOTHING, NOTHING)
+        motors.advance(dt_s, felt())
     # 10 ms: 10 N m. Tolerance: twenty additions of numbers below 64.
     np.testing.assert_allclose(motors.torque[0, :4], START[0, :4] + 10.0, rtol=0, atol=1e-12)
 
@@ -122,7 +128,7 @@ def test_a_lost_arm_goes_limp_at_the_rate_limit_and_lets_its_base_roll() -> None
     command(motors, 0, START[0], (50.0, 0.0, 0.0))
     motors.tick()
     advance(motors)
-    motors.lose(0)
+    motors.leave_to(0, Limp())
     before = motors.torque.copy()
     advance(motors, gravity=gravity, qd=qd)
     assert np.abs(motors.torque - before).max() <= 1.0 + 1e-12  # 1000 N m/s for 1 ms, and rounding
@@ -137,7 +143,7 @@ def test_a_lost_arm_goes_limp_at_the_rate_limit_and_lets_its_base_roll() -> None
 
 def test_a_lost_arm_obeys_nobody() -> None:
     motors = drivers()
-    motors.lose(0)
+    motors.leave_to(0, Limp())
     command(motors, 0, START[0] + 30.0, (100.0, 0.0, 0.0))
     motors.tick()
     advance(motors, steps=100, gravity=START)
@@ -153,7 +159,7 @@ def test_a_regained_arm_starts_from_the_torque_that_is_applied(delay: int) -> No
         command(motors, 0, START[0] + 10.0, (80.0, 0.0, 0.0))
         motors.tick()
         advance(motors, steps=20)
-    motors.lose(0)
+    motors.leave_to(0, Limp())
     advance(motors, steps=100, gravity=NOTHING + 3.0)
     limp = motors.torque[0].copy()
     motors.regain(0)

@@ -205,7 +205,7 @@ def test_the_keys_are_those_of_the_code() -> None:
     assert written == [
         *(arm.state, arm.command, arm.hello, arm.alive),
         *(leader.state, leader.command, leader.hello, leader.alive),
-        *(keys.sim_alive, keys.progress, keys.order),
+        *(keys.sim_alive, keys.progress, keys.deeds, keys.order),
     ]
     for expression in ANY_HELLO:
         assert f"`{expression}`" in PAGE

@@ -19,6 +19,8 @@ from wire.messages import (
     MAX_INT,
     MAX_JOINTS,
     Command,
+    Deed,
+    Done,
     End,
     Goodbye,
     Hello,
@@ -188,6 +190,11 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
         },
     ),
     "order": (Order, {"verb": _one_of("stop")}),
+    "deed": (
+        Deed,
+        {"number": _integer, "verb": _one_of("kill", "stop", "continue", "start", "leave"), "agent": _text(40)},
+    ),
+    "done": (Done, {"number": _integer, "problem": _text(1000)}),
 }
 """Every message: its name on the wire, its class, and each field with its check. docs/wire.md is its translation."""
 

@@ -67,8 +67,13 @@ class Keys:
         return f"{self.root}/truth/progress"
 
     @property
+    def deeds(self) -> str:
+        """What the scenario wants done to processes: for the launcher."""
+        return f"{self.root}/truth/deeds"
+
+    @property
     def order(self) -> str:
-        """Orders of the operator (the launcher) to the simulator."""
+        """Orders of the operator (the launcher) to the simulator, and its reports of deeds done."""
         return f"{self.root}/operator/order"
 
 

@@ -167,4 +167,37 @@ class Order:
     verb: Literal["stop"]
 
 
-Message = Hello | Welcome | Refusal | State | Command | LeaderView | LeaderForce | Goodbye | End | Progress | Order
+@dataclass(frozen=True, slots=True)
+class Deed:
+    """Something that the scenario wants done to a process: asked of the launcher, who alone owns the processes."""
+
+    number: int
+    """Of this deed in the run; the report carries it back."""
+    verb: Literal["kill", "stop", "continue", "start", "leave"]
+    agent: str
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """The launcher's report that a deed is done (the kernel says so), or why it cannot be."""
+
+    number: int
+    problem: str
+    """Empty when it is done."""
+
+
+Message = (
+    Hello
+    | Welcome
+    | Refusal
+    | State
+    | Command
+    | LeaderView
+    | LeaderForce
+    | Goodbye
+    | End
+    | Progress
+    | Order
+    | Deed
+    | Done
+)

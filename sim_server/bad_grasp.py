@@ -1,0 +1,53 @@
+"""A grasp that fails: soft, with spurious forces between hand and load. The paper's third demonstration begins so."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sim_server.world import World
+
+SOFT_SOLREF, SOFT_SOLIMP = (0.05, 1.0), (0.5, 0.8, 0.005, 0.5, 2.0)
+"""A hand that holds badly: a weld ten times as slow as a good one, which gives by millimetres."""
+FORCE_MEMORY_S = 0.05
+"""Correlation time of the spurious force: a hand that slips jerks, it does not hiss."""
+STREAM = 0x51195
+"""Keeps these draws apart from those of noise and of plant differences."""
+
+
+class BadGrasp:
+    """One hand that holds badly.
+
+    Args:
+        world: its weld becomes soft now.
+        arm: whose hand.
+        force_N: one standard deviation of the spurious force, per axis.
+    """
+
+    def __init__(self, world: World, arm: str, force_N: float) -> None:
+        self._world, self._ids = world, world.arms[arm]
+        self._rng = np.random.default_rng([world.scenario.seed, STREAM, list(world.arms).index(arm)])
+        self._sigma, self._force = force_N, np.zeros(3)
+        world.model.eq_solref[self._ids.weld] = SOFT_SOLREF
+        world.model.eq_solimp[self._ids.weld] = SOFT_SOLIMP
+
+    def push(self, dt_s: float) -> None:
+        """Add this step's spurious force to the load at the grasp, and its opposite to the hand.
+
+        Call after the load's other forces are written: this adds to them.
+        """
+        keep = math.exp(-dt_s / FORCE_MEMORY_S)
+        self._force *= keep
+        self._force += self._sigma * math.sqrt(1.0 - keep * keep) * self._rng.standard_normal(3)
+        data, ids = self._world.data, self._ids
+        point = data.site_xpos[ids.grasp_site]
+        load, hand = self._world.load_body, ids.hand_body
+        data.xfrc_applied[load, :3] += self._force
+        data.xfrc_applied[load, 3:] += np.cross(point - data.xipos[load], self._force)
+        data.xfrc_applied[hand, :3] = -self._force
+        data.xfrc_applied[hand, 3:] = np.cross(point - data.xipos[hand], -self._force)
+
+    def end(self) -> None:
+        """No force any more; the weld is the plant's to open."""
+        self._world.data.xfrc_applied[self._ids.hand_body] = 0.0

@@ -1,0 +1,96 @@
+"""Events of a scenario file: what happens at a simulated time, to a process or in the simulated world.
+
+Process events really happen to processes: the launcher sends the signal or starts the process, and the clock stands
+until that is seen. Whether the events of one agent can follow each other so is checked before anything runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+At = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+
+Verb = Literal["kill", "stop", "continue", "start", "leave"]
+
+
+class _Event(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    at_s: At
+    """Simulated time; the event takes effect before the tick of that time."""
+
+
+class ProcessEvent(_Event):
+    """A thing done to the process of an arm's agent or of the leader.
+
+    ``kill``: SIGKILL. ``stop``: SIGSTOP. ``continue``: SIGCONT. ``leave``: SIGTERM, at which it says goodbye.
+    ``start``: a new process (an old one of that name that is still there is ended first).
+    """
+
+    kind: Verb
+    agent: str
+    """An arm's name, or ``leader``."""
+
+
+class FailGrasp(_Event):
+    """A hand that holds badly for a while, with spurious forces drawn from the seed, and then slips off for good."""
+
+    kind: Literal["fail_grasp"]
+    arm: str
+    for_s: Positive = 1.0
+    force_N: NotNegative = 20.0
+    """Spurious force between hand and load, one standard deviation per axis."""
+
+
+ScenarioEvent = Annotated[ProcessEvent | FailGrasp, Field(discriminator="kind")]
+
+_FOLLOWS: Mapping[Verb, tuple[Collection[str], str]] = {
+    "kill": (("running", "stopped"), "gone"),
+    "stop": (("running",), "stopped"),
+    "continue": (("stopped",), "running"),
+    "leave": (("running",), "gone"),
+    "start": (("gone", "stopped", "running again"), "running"),
+}
+"""Which process a verb can be done to, and what that process is then."""
+
+
+def check_events(
+    events: Sequence[ProcessEvent | FailGrasp], arms: Collection[str], has_leader: bool, end_s: float
+) -> None:
+    """Raise ``ValueError`` with ``key: what is wrong`` for the first event that cannot happen."""
+    agents = [*arms, "leader"] if has_leader else list(arms)
+    process = dict.fromkeys(agents, "running")
+    slipped: set[str] = set()
+    for number, event in sorted(enumerate(events), key=lambda each: each[1].at_s):
+        where = f"events.{number}"
+        if event.at_s >= end_s:
+            raise ValueError(f"{where}.at_s: {event.at_s:g} s is not before the run's end at {end_s:g} s")
+        if isinstance(event, FailGrasp):
+            if event.arm not in arms:
+                raise ValueError(f"{where}.arm: no arm {event.arm!r}; expected one of {', '.join(arms)}")
+            if event.arm in slipped:
+                raise ValueError(f"{where}.arm: the grasp of {event.arm} has failed before, and for good")
+            slipped.add(event.arm)
+            continue
+        if event.agent not in process:
+            raise ValueError(f"{where}.agent: no agent {event.agent!r}; expected one of {', '.join(agents)}")
+        before, after = _FOLLOWS[event.kind]
+        if process[event.agent] not in before and not ("running" in before and process[event.agent] == "running again"):
+            raise ValueError(
+                f"{where}.kind: {event.agent} is {process[event.agent]} at {event.at_s:g} s, by the events before; "
+                f"{event.kind!r} expects it to be {' or '.join(before)}"
+            )
+        process[event.agent] = "running again" if event.kind == "continue" else after
+
+
+def in_order(events: Sequence[ProcessEvent | FailGrasp], period_ms: int) -> list[tuple[int, ProcessEvent | FailGrasp]]:
+    """Events with the tick before which they happen, in time; those of one time in the order of the file."""
+    return sorted(
+        ((round(event.at_s * 1000 / period_ms), event) for event in events),
+        key=lambda each: each[0],
+    )

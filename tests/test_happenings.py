@@ -1,0 +1,276 @@
+"""Events of a scenario: checked in the file, ordered and seen at their tick, over the in-memory wire."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_lockstep_in_memory import LOST_AFTER, RUN, TIMEOUT_S, Bench, MemoryAgent, silent
+
+from sim_server import happenings
+from sim_server.errors import ScenarioError
+from sim_server.happenings import Happenings, Undone
+from sim_server.scenario_events import FailGrasp, ProcessEvent, Verb, check_events
+from sim_server.scenario_files import load_scenario
+from wire.codec import decode, encode
+from wire.errors import Reason
+from wire.keys import Keys
+from wire.lifecycle import Phase
+from wire.messages import Deed, Done, Goodbye
+
+# The file
+
+
+@pytest.mark.parametrize(
+    ("events", "key", "words"),
+    [
+        ([{"at_s": 1.0, "kind": "boom"}], "events.0.kind", ("no such kind", "fail_grasp")),
+        ([{"at_s": 1.0}], "events.0.kind", ("kill",)),
+        ([{"at_s": 1.0, "kind": "kill"}], "events.0.agent", ("missing",)),
+        ([{"at_s": 1.0, "kind": "kill", "agent": "a9"}], "events.0.agent", ("a9", "a1, a2")),
+        ([{"at_s": 1.0, "kind": "kill", "agent": "a1", "arm": "a1"}], "events.0.arm", ("unknown key", "agent")),
+        ([{"at_s": 99.0, "kind": "kill", "agent": "a1"}], "events.0.at_s", ("99 s", "20 s")),
+        ([{"at_s": -1.0, "kind": "kill", "agent": "a1"}], "events.0.at_s", ("greater than or equal to 0",)),
+        ([{"at_s": 1.0, "kind": "fail_grasp", "arm": "leader"}], "events.0.arm", ("leader",)),
+        ([{"at_s": 1.0, "kind": "fail_grasp", "arm": "a1", "for_s": 0.0}], "events.0.for_s", ("greater than 0",)),
+        ([{"at_s": t, "kind": "kill", "agent": "a1"} for t in (2.0, 1.0)], "events.0.kind", ("a1 is gone",)),
+        ([{"at_s": 1.0, "kind": "start", "agent": "a1"}], "events.0.kind", ("a1 is running",)),
+        ([{"at_s": t, "kind": "fail_grasp", "arm": "a1"} for t in (1.0, 3.0)], "events.1.arm", ("before",)),
+    ],
+)
+def test_an_event_that_cannot_be_is_refused_with_file_and_key(
+    events: list[dict[str, Any]], key: str, words: tuple[str, ...]
+) -> None:
+    with pytest.raises(ScenarioError) as error:
+        load_scenario("transport", {"events": events})
+    assert (error.value.file, error.value.key) == ("transport.toml", key)
+    for word in words:
+        assert word in str(error.value)
+
+
+verbs = st.sampled_from(["kill", "stop", "continue", "start", "leave"])
+
+
+@given(st.lists(verbs, max_size=6))
+def test_events_of_one_agent_are_taken_exactly_when_there_is_a_process_to_do_them_to(chain: list[Verb]) -> None:
+    """A second account of the same rule: a process that is there and runs, is there and is stopped, or is not there."""
+    there, stopped, replaceable, possible = True, False, False, True
+    for verb in chain:
+        possible = (
+            possible
+            and {
+                "kill": there,
+                "stop": there and not stopped,
+                "continue": there and stopped,
+                "leave": there and not stopped,
+                "start": not there or stopped or replaceable,
+            }[verb]
+        )
+        there = verb not in ("kill", "leave")
+        stopped, replaceable = verb == "stop", verb == "continue"
+    events = [ProcessEvent(at_s=float(k), kind=verb, agent="a1") for k, verb in enumerate(chain)]
+    if possible:
+        check_events(events, ("a1",), False, 100.0)
+    else:
+        with pytest.raises(ValueError, match="events"):
+            check_events(events, ("a1",), False, 100.0)
+
+
+# The clock
+
+
+class NoHands:
+    """A plant's hands that only write down."""
+
+    def __init__(self) -> None:
+        self.opened: list[str] = []
+        self.book: list[tuple[object, ...]] = []
+
+    def loosen(self, arm: str, force_N: float) -> None:
+        self.book.append(("loosen", arm, force_N))
+
+    def open_hand(self, arm: str) -> None:
+        self.book.append(("open", arm))
+        self.opened.append(arm)
+
+
+class Stage:
+    """A bench with events, and a launcher that does deeds to agents in memory."""
+
+    def __init__(self, *events: ProcessEvent | FailGrasp, launcher: bool = True) -> None:
+        self.bench = Bench()
+        self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in ("a1", "a2")}
+        self.hands = NoHands()
+        keys = Keys(RUN)
+        self.deeds: list[Deed] = []
+        link = self.bench.broker.link()
+        self.orders = link.publisher(keys.order)
+        self.do: Callable[[Deed], str] = self.obey
+        if launcher:
+            link.subscribe(keys.deeds, self._asked)
+        self.happenings = Happenings(
+            events,
+            self.bench.reception,
+            self.bench.clock,
+            self.hands,
+            self.bench.broker.link().publisher(keys.deeds),
+            self.bench._report,
+            period_ms=1,
+            start_s=1.0,
+        )
+        self.tick = 0
+
+    def _asked(self, payload: bytes) -> None:
+        deed = decode(payload, Deed)
+        self.deeds.append(deed)
+        self.orders.put(encode(Done(deed.number, self.do(deed))))
+
+    def obey(self, deed: Deed) -> str:
+        agent = self.agents[deed.agent]
+        if deed.verb == "kill":
+            agent.link.close()
+        elif deed.verb == "stop":
+            agent.behave = silent
+        elif deed.verb == "start":
+            self.agents[deed.agent] = MemoryAgent(self.bench.broker, deed.agent, BEHAVES)
+        elif deed.verb == "continue":
+            agent.behave = BEHAVES
+        else:
+            agent.link.query(agent.keys.hello, encode(Goodbye(agent.name, agent.lease)), 1.0)
+            agent.link.close()
+        return ""
+
+    def run(self, ticks: int) -> float:
+        took = 0.0
+        for _ in range(ticks):
+            self.happenings.before(self.tick)
+            took += self.bench.run(1)
+            self.tick += 1
+        return took
+
+    def reported(self, kind: str) -> list[tuple[object, object]]:
+        return [(each["event"], each["agent"]) for each in self.bench.reported(kind)]
+
+
+def BEHAVES(agent: MemoryAgent, state: Any) -> None:
+    agent.command(state.tick, state.tick + 0.5)
+
+
+def event(tick: int, kind: Verb, agent: str = "a2") -> ProcessEvent:
+    return ProcessEvent(at_s=tick / 1000, kind=kind, agent=agent)
+
+
+def test_a_kill_loses_the_arm_before_its_very_tick_and_a_start_regains_it_before_its() -> None:
+    stage = Stage(event(3, "kill"), event(6, "start"))
+    assert stage.run(9) < TIMEOUT_S
+    assert stage.bench.commands("a2") == [0.5, 1.5, 2.5, 6.5, 7.5, 8.5]
+    assert stage.bench.commands("a1") == [tick + 0.5 for tick in range(9)]
+    assert stage.reported("ordered") == stage.reported("seen") == [("kill", "a2"), ("start", "a2")]
+    (lost,) = stage.bench.reported("lost")
+    assert (lost["missed_ticks"], lost["why"]) == (0, "its sign of life is gone")
+    assert stage.agents["a2"].lease == 2
+
+
+def test_a_stopped_agent_is_lost_by_its_missed_ticks_and_costs_no_time() -> None:
+    stage = Stage(event(2, "stop"))
+    assert stage.run(2 + LOST_AFTER - 1) < TIMEOUT_S
+    assert stage.bench.phase("a2") is Phase.TICKING
+    assert stage.run(1) < TIMEOUT_S
+    (lost,) = stage.bench.reported("lost")
+    assert lost["missed_ticks"] == LOST_AFTER
+
+
+def test_the_transport_giving_a_stopped_agent_up_does_not_change_when_it_is_lost() -> None:
+    """It does so after half a second of wall time: a trace must not depend on that."""
+    stage = Stage(event(2, "stop"))
+    stage.run(4)
+    stage.agents["a2"].link.close()
+    stage.run(LOST_AFTER - 3)
+    assert stage.bench.phase("a2") is Phase.TICKING
+    stage.run(1)
+    assert stage.bench.phase("a2") is Phase.LOST
+
+
+def test_an_agent_that_is_continued_in_time_goes_on_with_its_lease() -> None:
+    stage = Stage(event(2, "stop"), event(2 + LOST_AFTER - 2, "continue"))
+    stage.run(10)
+    assert stage.bench.phase("a2") is Phase.TICKING
+    assert stage.bench.reported("lost") == []
+    assert stage.bench.commands("a2") == [0.5, 1.5, *(tick + 0.5 for tick in range(LOST_AFTER, 10))]
+
+
+def test_an_agent_that_is_continued_too_late_commands_nothing_until_it_is_started_again() -> None:
+    stage = Stage(event(1, "stop"), event(10, "continue"), event(15, "start"))
+    old = stage.agents["a2"]
+    stage.run(12)
+    old.command(11, 99.0)
+    stage.bench.settle()
+    assert stage.bench.refused("a2") == {Reason.PHASE: 1}
+    assert "worth nothing" in stage.bench.reported("seen")[-1]["effect"]
+    stage.run(5)
+    old.command(16, 99.0, lease=1)
+    stage.bench.settle()
+    # Nobody ended it here, so it hears the states of ticks 15 and 16 too and answers them with its old lease.
+    assert stage.bench.refused("a2") == {Reason.PHASE: 1, Reason.LEASE: 3}
+    assert stage.bench.commands("a2") == [0.5, 15.5, 16.5]
+
+
+def test_a_stopped_agent_whose_place_another_takes_is_lost_first() -> None:
+    stage = Stage(event(2, "stop"), event(4, "start"))
+
+    def replace(deed: Deed) -> str:
+        if deed.verb == "start":
+            stage.agents["a2"].link.close()
+            stage.bench.broker.link()
+        return stage.obey(deed)
+
+    stage.do = replace
+    stage.run(6)
+    assert stage.agents["a2"].lease == 2
+    assert stage.bench.commands("a2") == [0.5, 1.5, 4.5, 5.5]
+
+
+def test_an_agent_that_leaves_is_let_down() -> None:
+    stage = Stage(event(2, "leave"))
+    stage.run(4)
+    assert ("let_down", "a2") in stage.bench.book
+    assert stage.bench.reported("lost") == []
+    assert stage.reported("seen") == [("leave", "a2")]
+
+
+def test_without_a_launcher_the_run_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(happenings, "NOBODY_S", 0.05)
+    stage = Stage(event(2, "kill"), launcher=False)
+    with pytest.raises(Undone, match=r"'kill' of a2 at 0\.002 s.*palanquin run"):
+        stage.run(3)
+    assert stage.tick == 2
+
+
+def test_a_deed_that_the_launcher_cannot_do_ends_the_run_with_its_words() -> None:
+    stage = Stage(event(2, "kill"))
+    stage.do = lambda deed: "its process has ended already"
+    with pytest.raises(Undone, match="its process has ended already"):
+        stage.run(3)
+
+
+def test_a_deed_that_is_reported_but_not_seen_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(happenings, "DEED_S", 0.05)
+    stage = Stage(event(2, "kill"))
+    stage.do = lambda deed: ""
+    with pytest.raises(Undone, match="sign of life is still there"):
+        stage.run(3)
+
+
+def test_a_failing_grasp_is_loose_and_then_opens_at_its_tick() -> None:
+    stage = Stage(FailGrasp(at_s=0.002, kind="fail_grasp", arm="a1", for_s=0.003, force_N=5.0))
+    stage.run(5)
+    assert stage.hands.book == [("loosen", "a1", 5.0)]
+    stage.run(1)
+    assert stage.hands.book == [("loosen", "a1", 5.0), ("open", "a1")]
+    stage.run(1)
+    assert stage.bench.reported("hand_opened") == [{"agent": "a1"}]
+    assert stage.reported("ordered") == [("fail_grasp", "a1")]
+    assert stage.reported("seen") == [("fail_grasp", "a1")] * 2
