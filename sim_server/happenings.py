@@ -40,7 +40,7 @@ class Hands(Protocol):
 
     def loosen(self, arm: str, force_N: float) -> None: ...
 
-    def open_hand(self, arm: str) -> None: ...
+    def slip(self, arm: str) -> None: ...
 
 
 class Happenings:
@@ -78,7 +78,7 @@ class Happenings:
             self._report("hand_opened", agent=self._hands.opened.pop(0))
         while self._slips and self._slips[0][0] <= tick:
             _, arm = self._slips.pop(0)
-            self._hands.open_hand(arm)
+            self._hands.slip(arm)
             self._report("seen", event="fail_grasp", agent=arm, effect="the hand has slipped off")
         while self._due and self._due[0][0] <= tick:
             _, event = self._due.pop(0)

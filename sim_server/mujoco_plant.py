@@ -173,6 +173,10 @@ class MujocoPlant:
         """From now on this hand holds badly: softly, with spurious forces of this size per axis."""
         self._slipping[arm] = BadGrasp(self.world, arm, force_N)
 
+    def slip(self, arm: str) -> None:
+        """This hand has slipped off. A gripper feels that it is empty, and its driver draws it back."""
+        self._leave_to(arm, Release())
+
     def open_hand(self, arm: str) -> None:
         """The hand lets go for good."""
         if bad := self._slipping.pop(arm, None):

@@ -92,7 +92,7 @@ class NoHands:
     def loosen(self, arm: str, force_N: float) -> None:
         self.book.append(("loosen", arm, force_N))
 
-    def open_hand(self, arm: str) -> None:
+    def slip(self, arm: str) -> None:
         self.book.append(("open", arm))
         self.opened.append(arm)
 

@@ -66,7 +66,13 @@ def test_what_symbols_cannot_do_is_an_error_and_not_a_wrong_number() -> None:
             Traced(function, {"a": (2, 2)})
 
 
-GAINS: list[dict[str, Any]] = [{}, {"adaptive": False}, {"drift_compensation": False}, {"alpha": 1.0, "beta": 3.0}]
+GAINS: list[dict[str, Any]] = [
+    {},
+    {"adaptive": False},
+    {"drift_compensation": False},
+    {"alpha": 1.0, "beta": 3.0},
+    {"null_restoring": False, "yaw_stiffness_Nm_rad": 60.0, "yaw_damping_Nms_rad": 10.0},
+]
 
 
 @pytest.mark.parametrize("gains", GAINS, ids=str)
@@ -84,7 +90,7 @@ def test_the_traced_law_is_the_law(gains: dict[str, Any]) -> None:
         now = arm().snapshot(q, qd)
         torque, base_force, stiffness = law(
             qd=qd, M_inv=now.M_inv, C=now.C, g=now.g, J=now.J, Jdot=now.Jdot, p_BE=now.p_BE, R_BE=now.R_BE,
-            p_held=held.p_BE, up_E=held.R_BE[2],
+            p_held=held.p_BE, up_E=held.R_BE[2], ahead_held=held.R_BE[:, 0],
         )  # fmt: skip
         np.testing.assert_allclose(effort.torque, torque, rtol=REORDERED, atol=REORDERED * np.abs(torque).max())
         np.testing.assert_allclose(effort.base_force[:2], base_force, rtol=REORDERED, atol=1e-9)

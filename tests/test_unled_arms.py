@@ -148,7 +148,7 @@ def test_a_grasp_that_fails_is_drawn_from_the_seed_and_ends_for_good() -> None:
     first, plant = shaken(1)
     assert first == shaken(1)[0]
     assert first != shaken(2)[0]
-    plant.open_hand("a2")
+    plant.slip("a2")
     plant.step()
     assert not holds(plant, "a2")
     np.testing.assert_array_equal(plant._data.xfrc_applied[plant.world.arms["a2"].hand_body], 0.0)

@@ -9,11 +9,12 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from agents.arm_model import ArmModel
+from agents.controllers.better import BetterController
 from agents.controllers.interface import Controller, ControllerFactory
 from agents.controllers.paper import PaperController
 from agents.errors import ControllerError
 
-CONTROLLERS: Mapping[str, ControllerFactory] = {"paper": PaperController}
+CONTROLLERS: Mapping[str, ControllerFactory] = {"paper": PaperController, "better": BetterController}
 """The laws that come with Palanquin."""
 
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from agents.arm_model import ArmModel
 from agents.controllers.interface import Effort, Sensed
 from agents.equations.law import base_force, joint_torque
-from agents.equations.null_space import null_torque_projected
+from agents.equations.null_space import null_projection, null_torque_projected
 from agents.equations.stiffness import DEG, adaptive_stiffness, projected_error_rate, projected_joint_error
 from agents.equations.task import (
     dynamically_consistent_inverse,
@@ -27,6 +27,7 @@ from agents.equations.task import (
     task_velocity,
     tilt_error,
 )
+from agents.equations.yaw import yaw_moment
 from agents.errors import ControllerError
 from agents.tracing import Traced
 
@@ -62,6 +63,11 @@ class PaperGains(BaseModel):
     """K_m."""
     base_damping_Ns_m: NotNegative = 20.0
     """B_m."""
+    null_restoring: bool = True
+    """The term Z^T K q_err of eq. 13 on or off. A constant task error makes it push sideways, as if somebody pulled."""
+    yaw_stiffness_Nm_rad: NotNegative = 0.0
+    yaw_damping_Nms_rad: NotNegative = 0.0
+    """A spring of the hand's yaw against the base (ours; the paper leaves yaw free)."""
 
 
 def paper_law(
@@ -77,6 +83,7 @@ def paper_law(
     R_BE: Array,
     p_held: Array,
     up_E: Array,
+    ahead_held: Array,
 ) -> tuple[Array, Array, Array]:
     """Joint torque (n,) N m, base force (2,) N in B, and joint stiffness (n,) N m/rad. Equations 5 to 16.
 
@@ -85,6 +92,7 @@ def paper_law(
         M_inv, C, g, J, Jdot, p_BE, R_BE: as in :class:`agents.arm_model.ArmSnapshot`.
         p_held: where the hand was at the first step, (3,) m in B: its height is held, the base keeps the rest.
         up_E: the hand's axis that was vertical then, (3,) unit vector in the hand's frame E.
+        ahead_held: the hand's x axis then, (3,) unit vector in B.
     """
     J_x, Jdot_x = J[TASK_ROWS], Jdot[TASK_ROWS]
     K_nu = np.array(gains.null_stiffness_Nm_rad)
@@ -106,7 +114,12 @@ def paper_law(
         xdd_c = xdd_c - task_drift(Jdot_x, qd)
     tau_task = task_torque(J_x, Lambda_x, xdd_c, Jbar, external_torque(K, Jbar, x_err))
 
-    tau_null = null_torque_projected(J_x, Jdot_x, Jbar, Lambda_x, C, D, qd, K, q_err)
+    K_null = K if gains.null_restoring else np.zeros(len(K_nu))
+    tau_null = null_torque_projected(J_x, Jdot_x, Jbar, Lambda_x, C, D, qd, K_null, q_err)
+
+    if gains.yaw_stiffness_Nm_rad or gains.yaw_damping_Nms_rad:
+        moment = yaw_moment(R_BE[:, 0], ahead_held, J[5] @ qd, gains.yaw_stiffness_Nm_rad, gains.yaw_damping_Nms_rad)
+        tau_null = tau_null + null_projection(J_x, Jbar, J[5] * moment)
 
     F_m = base_force(p_BE[:2] - p_held[:2], J[:2] @ qd, gains.base_stiffness_N_m, gains.base_damping_Ns_m)
     return joint_torque(tau_task, tau_null, C, qd, g), F_m, K
@@ -123,18 +136,18 @@ class PaperController:
         ControllerError: the stiffness does not fit the arm's number of joints.
     """
 
-    gains_model = PaperGains
+    gains_model: type[PaperGains] = PaperGains
 
     def __init__(self, arm: ArmModel, **gains: object) -> None:
         self._arm, n = arm, arm.joints
-        self.gains = PaperGains.model_validate(gains)
+        self.gains = self.gains_model.model_validate(gains)
         if len(self.gains.null_stiffness_Nm_rad) != n:
             raise ControllerError(
                 f"controller paper: null_stiffness_Nm_rad: got {len(self.gains.null_stiffness_Nm_rad)} numbers, "
                 f"expected {n}, one per joint of arm model {arm.name}"
             )
         shapes = {"qd": (n,), "M_inv": (n, n), "C": (n, n), "g": (n,), "J": (6, n), "Jdot": (6, n)}
-        poses = {"p_BE": (3,), "R_BE": (3, 3), "p_held": (3,), "up_E": (3,)}
+        poses = {"p_BE": (3,), "R_BE": (3, 3), "p_held": (3,), "up_E": (3,), "ahead_held": (3,)}
         self._law = Traced(partial(paper_law, self.gains), shapes | poses, symmetric=("M_inv",))
         self._base_force = np.zeros(3)
         self._holds = False
@@ -148,6 +161,7 @@ class PaperController:
         if not self._holds:
             terms["p_held"][:] = terms["p_BE"]
             terms["up_E"][:] = terms["R_BE"][2]
+            terms["ahead_held"][:] = terms["R_BE"][:, 0]
             self._holds = True
         law()
         torque, base_force, stiffness = law.outputs

@@ -140,6 +140,11 @@ def null_torque(
     return -Zbar.T @ (Lambda_nu @ (Zbar_dot @ qd) + (mu_nu + B_nu) @ nu - Z.T @ (K * q_err))
 
 
+def null_projection(J: Array, Jbar: Array, tau: Array) -> Array:
+    """The part of a joint torque that does not accelerate the task, (n,) N m: (I - J^T J#^T) tau."""
+    return tau - J.T @ (Jbar.T @ tau)
+
+
 def null_torque_projected(
     J: Array, Jdot: Array, Jbar: Array, Lambda_x: Array, C: Array, D: Array, qd: Array, K: Array, q_err: Array
 ) -> Array:
