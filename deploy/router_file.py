@@ -25,7 +25,7 @@ def write_router_file(store: CredentialStore, file: Path, run: str, listen: str)
         LinkError: other machines could reach the address, and it does not ask for certificates.
         Refused: the run's name cannot be part of a key.
     """
-    check_stays_here_or_is_proven(parse_endpoint(listen), has_credentials=True, insecure_network=False)
+    check_stays_here_or_is_proven(parse_endpoint(listen), has_credentials=True)
     guests = Guests(store.credential(Role.ROUTER), (store.credential(Role.SIM), *store.admitted()))
     file = file.absolute()
     secret = file.with_name(file.name + ".passwords")
