@@ -6,7 +6,9 @@ is not in it is let in, so that a revoked certificate is useless though its sign
 
 from __future__ import annotations
 
+import ipaddress
 import json
+import re
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -46,6 +48,21 @@ class Entry:
         return Credential(principal(self.name, self.generation), self.password, self.until)
 
 
+_HOST_NAME = re.compile(r"(?=.{1,253}\Z)[A-Za-z0-9_]([A-Za-z0-9_-]{0,62})(\.[A-Za-z0-9_][A-Za-z0-9_-]{0,62})*")
+
+
+def _check_host(host: str) -> None:
+    """Raises :class:`CredentialError` for what a certificate cannot name."""
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        if not _HOST_NAME.fullmatch(host):
+            raise CredentialError(
+                f"--host {host!r}: expected an IP address or a host name in ASCII, such as sim.example; write others "
+                "in their xn-- form"
+            ) from None
+
+
 class CredentialStore:
     """The folder of all credentials.
 
@@ -80,6 +97,8 @@ class CredentialStore:
     ) -> CredentialStore:
         """Make an authority and a credential for everybody. The folder appears whole or not at all."""
         now = now or datetime.now(UTC)
+        for host in hosts:
+            _check_host(host)
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise CredentialError(f"{folder}: is there and holds no credentials of ours; choose another folder")
         with new_folder(folder) as building:
@@ -113,6 +132,8 @@ class CredentialStore:
                 f"{name} asks for credentials and is not asked by itself: revoking it would lock nobody out. "
                 f"--rotate {name} makes a new one; if its key is stolen, make all credentials anew"
             )
+        if self._entry(name).revoked:
+            raise CredentialError(f"{name}: is revoked already; --rotate {name} makes a new one")
         self._entries[name] = replace(self._entry(name), revoked=True)
         self._write()
         shutil.rmtree(self.folder / name, ignore_errors=True)

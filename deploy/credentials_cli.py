@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from deploy.credential_store import Entry
 
 DEFAULT_DAYS = 365
+DEFAULT_LISTEN = "tls/0.0.0.0:7447"
 
 
 def credentials(
@@ -33,7 +34,7 @@ def credentials(
         Path | None, typer.Option(metavar="FILE", help="Write the rules of one run for an external router.")
     ] = None,
     run: Annotated[str | None, typer.Option(help="With --router-config: the run's name.")] = None,
-    listen: Annotated[str, typer.Option(help="With --router-config: where it listens.")] = "tls/0.0.0.0:7447",
+    listen: Annotated[str, typer.Option(help="With --router-config: where it listens.")] = DEFAULT_LISTEN,
 ) -> None:
     """Make, list, renew and revoke the credentials of a team; leader, observer and operator get theirs too."""
     from deploy.credential_store import CredentialStore
@@ -45,6 +46,14 @@ def credentials(
         raise CredentialError(
             "one thing at a time: expected --arms N or --arm NAME, or --revoke, --rotate, --list, --router-config"
         )
+    _check_goes_together(
+        {
+            "--days": (days != DEFAULT_DAYS, bool(wanted) or rotate is not None),
+            "--host": (host is not None, bool(wanted)),
+            "--run": (run is not None, router_config is not None),
+            "--listen": (listen != DEFAULT_LISTEN, router_config is not None),
+        }
+    )
     if wanted and not CredentialStore.is_one(folder):
         store = CredentialStore.create(folder, wanted, days=days, hosts=host or [])
         print(f"{folder}: credentials for {', '.join(entry.name for entry in store.entries())}; {_how_to(folder)}")
@@ -69,6 +78,12 @@ def credentials(
         print("written: " + ", ".join(str(file) for file in write_router_file(store, router_config, run, listen)))
     else:
         _print(store.entries())
+
+
+def _check_goes_together(options: Mapping[str, tuple[bool, bool]]) -> None:
+    """Raises :class:`CredentialError` for an option that is given (first) where it means nothing (not second)."""
+    if idle := [name for name, (given, means_something) in options.items() if given and not means_something]:
+        raise CredentialError(f"{', '.join(idle)}: means nothing beside what is asked for; leave it out")
 
 
 def router(config: Annotated[Path, typer.Option(help="Made by `palanquin credentials DIR --router-config`.")]) -> None:

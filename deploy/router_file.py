@@ -9,6 +9,7 @@ from deploy.credential_store import CredentialStore
 from wire.access import Role
 from wire.credentials import Guests
 from wire.endpoints import check_stays_here_or_is_proven, parse_endpoint
+from wire.errors import CredentialError
 from wire.private_files import write_private
 from wire.zenoh_config import passwords, server_config, uses_certificates
 
@@ -22,20 +23,26 @@ def write_router_file(store: CredentialStore, file: Path, run: str, listen: str)
     """Write the configuration; with passwords, a second file for them beside it. Returns what was written.
 
     Raises:
+        CredentialError: the file cannot be written.
         LinkError: other machines could reach the address, and it does not ask for certificates.
         Refused: the run's name cannot be part of a key.
     """
-    check_stays_here_or_is_proven(parse_endpoint(listen), has_credentials=True, insecure_network=False)
+    check_stays_here_or_is_proven(parse_endpoint(listen), has_credentials=True)
     guests = Guests(store.credential(Role.ROUTER), (store.credential(Role.SIM), *store.admitted()))
     file = file.absolute()
     secret = file.with_name(file.name + ".passwords")
     config = server_config(listen, guests, run, str(secret))
     tls = uses_certificates(listen)
     head = HEAD.format(run=run, secret="the router's key" if tls else f"nothing secret, but {secret.name} does")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    written = [file]
+    texts = {file: head + json.dumps(config, indent=2) + "\n"}
     if not tls:
-        write_private(secret, passwords(guests))
-        written.append(secret)
-    write_private(file, head + json.dumps(config, indent=2) + "\n")
-    return written
+        texts[secret] = passwords(guests)
+    if file.is_dir():
+        raise CredentialError(f"--router-config {file}: is a folder; expected the file to write")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        for place, text in reversed(texts.items()):  # the passwords first: the other one names them
+            write_private(place, text)
+    except OSError as error:
+        raise CredentialError(f"--router-config {file}: cannot be written ({error.strerror}); choose another") from None
+    return list(texts)

@@ -21,7 +21,7 @@ from deploy.authority import issue, new_authority
 from deploy.credential_store import CredentialStore
 from wire.codec import MAX_BYTES
 from wire.credentials import Certificate, Credential, Guests, read_guests
-from wire.endpoints import parse_endpoint
+from wire.endpoints import check_stays_here_or_is_proven, parse_endpoint
 from wire.errors import CredentialError, LinkError, LoginRefused
 from wire.keys import ANY_HELLO, Keys
 from wire.zenoh_config import client_config
@@ -370,6 +370,44 @@ def test_with_certificates_other_machines_may_come(store: CredentialStore) -> No
         open_client(f"tls/localhost:{port}", store.credential("a1")),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "hint"),
+    [
+        ("tcp/[::]:7505", "listen on tls/[::]:7505 with credentials"),
+        ("tcp/0.0.0.0:7505", "listen on tls/0.0.0.0:7505 with credentials"),
+        ("tls/[::]:7505", "give credentials"),
+    ],
+)
+def test_the_hint_is_an_address_that_can_be_used_and_not_the_one_that_was_given(endpoint: str, hint: str) -> None:
+    with pytest.raises(LinkError) as error:
+        check_stays_here_or_is_proven(parse_endpoint(endpoint), has_credentials=False, insecure_network=False)
+    assert hint in str(error.value)
+    assert str(error.value).count(endpoint) == 1
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        *("udp/0.0.0.0:7447", "ws/0.0.0.0:7447", "quic/127.0.0.1:7447", "unixsock-stream/socket", "serial/x:1"),
+        *(
+            "TCP/0.0.0.0:7447",
+            "tcp/*",
+            "tcp/*:7447",
+            "tcp/::1:7447",
+            "tcp/a#iface=eth0:1",
+            "tcp/a;tcp/b:1",
+            "tcp/a b:1",
+        ),
+        *("foo", "", "tcp/", "tcp/127.0.0.1", "tcp/127.0.0.1:0", "tcp/127.0.0.1:65536", "tcp/127.0.0.1:" + "9" * 5000),
+    ],
+)
+def test_no_address_but_tcp_and_tls_is_listened_on_or_connected_to(endpoint: str) -> None:
+    for use in (open_server, open_client):
+        with pytest.raises(LinkError, match=r"^bad address .* expected tcp/<host>:<port> or tls/[^\n]*$") as error:
+            use(endpoint)
+        assert error.value.exit_status == 2
 
 
 @pytest.mark.parametrize(

@@ -275,11 +275,21 @@ def test_the_verb_makes_lists_renews_and_revokes(tmp_path: Path) -> None:
         (["team", "--arm", "a5", "--days", "0"], "expected 1 to 3650"),
         (["team", "--router-config", "r.json5"], "give its name with --run"),
         (["team", "--router-config", "r.json5", "--run", "x", "--listen", "tcp/0.0.0.0:7447"], "will not listen"),
+        (["team", "--router-config", "other", "--run", "x"], "is a folder; expected the file to write"),
+        (["team", "--router-config", "other/thesis.tex/r.json5", "--run", "x"], "cannot be written"),
+        (["team", "--router-config", "r.json5", "--run", "x", "--listen", "foo"], "bad address 'foo'"),
+        (["team", "--list", "--host", "sim.example"], "--host: means nothing beside what is asked for"),
+        (["team", "--list", "--days", "3", "--run", "x"], "--days, --run: means nothing"),
+        (["team", "--revoke", "a2"], "a2: is revoked already; --rotate a2 makes a new one"),
+        (["other/thesis.tex/team", "--arms", "1"], "cannot be made"),
+        (["new", "--arms", "1", "--host", "ü.example"], "--host 'ü.example': expected an IP address or a host name"),
+        (["new", "--arms", "1", "--host", ""], "--host '': expected"),
+        (["new", "--arms", "1", "--host", "a b c"], "--host 'a b c': expected"),
         (["other", "--arms", "1"], "holds no credentials of ours"),
     ],
 )
 def test_what_the_verb_cannot_do_is_one_sentence_and_status_2(tmp_path: Path, arguments: list[str], said: str) -> None:
-    CredentialStore.create(tmp_path / "team", ["a1"], days=1, hosts=[])
+    CredentialStore.create(tmp_path / "team", ["a1", "a2"], days=1, hosts=[]).revoke("a2")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("")
     before = sorted(path for path in tmp_path.rglob("*"))

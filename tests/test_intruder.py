@@ -130,3 +130,23 @@ def test_a_credential_is_laid_over_a_session_and_takes_nothing_away() -> None:
     below: dict[str, Any] = {"connect": {"endpoints": ["x"]}, "transport": {"link": {"tx": 1}}}
     above: dict[str, Any] = {"transport": {"auth": {"usrpwd": {"user": "a1"}}}}
     assert merged(below, above) == {**below, "transport": {"link": {"tx": 1}, "auth": {"usrpwd": {"user": "a1"}}}}
+
+
+@pytest.mark.system
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "cannot be read (No such file or directory)"),
+        ("{", "not JSON"),
+        ("[]", "got a list, expected a JSON object"),
+    ],
+)
+def test_a_bad_overlay_is_one_sentence_and_status_2(tmp_path: Path, text: str | None, said: str) -> None:
+    if text is not None:
+        (tmp_path / "o.json").write_text(text)
+    arguments = ("--arm", "a1", "--other", "a2", "--run", "x", "--connect", "tcp/127.0.0.1:1", "--overlay", "o.json")
+    ended = run_to_end("chaos", "attack", *arguments, cwd=tmp_path)
+    (line,) = ended.stderr.splitlines()
+    assert "--overlay o.json: " in line
+    assert said in line
+    assert ended.returncode == 2

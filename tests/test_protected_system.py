@@ -19,9 +19,11 @@ from processes import (
 
 from deploy.credential_store import CredentialStore
 from deploy.launcher import leader_arguments
+from deploy.router_file import write_router_file
 from sim_server.scenario_files import load_scenario
 from wire.keys import Keys
 from wire.link import Link
+from wire.private_files import write_private
 from wire.zenoh_link import open_client
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
@@ -193,11 +195,39 @@ def test_an_open_simulator_says_that_it_is(tmp_path: Path) -> None:
         open_client(endpoint).close()
 
 
+NOT_OURS = {"bad": "{mode: 'router'}", "worse": "{", "empty": "{}", "list": "[1]", "text": "hello", "nul": "\0"}
+
+
 def test_a_router_without_a_good_file_does_not_start(tmp_path: Path) -> None:
-    (tmp_path / "bad.json5").write_text("{mode: 'router'}")
-    (tmp_path / "worse.json5").write_text("{")
-    for file in ("bad.json5", "worse.json5", "none.json5"):
-        ended = run_to_end("router", "--config", file, cwd=tmp_path)
-        (line,) = ended.stderr.splitlines()
-        assert f"{file}: not a router's configuration" in line
-        assert ended.returncode == 2
+    for name, text in NOT_OURS.items():
+        write_private(tmp_path / f"{name}.json5", text)
+        assert f"{name}.json5: not a router's configuration of ours" in refused_router(tmp_path, f"{name}.json5")
+    assert "none.json5: cannot be read" in refused_router(tmp_path, "none.json5")
+
+
+def refused_router(cwd: Path, file: str) -> str:
+    """The one sentence of a router that does not start."""
+    ended = run_to_end("router", "--config", file, cwd=cwd)
+    (line,) = ended.stderr.splitlines()
+    assert ended.returncode == 2
+    return line
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "tls"])
+def test_a_router_does_not_start_without_its_rules_or_with_secrets_that_others_may_read(
+    tmp_path: Path, protocol: str
+) -> None:
+    store = CredentialStore.create(tmp_path / "team", ["a1"], days=1, hosts=[])
+    written = write_router_file(store, tmp_path / "r.json5", RUN, f"{protocol}/127.0.0.1:{free_port()}")
+    for file in written:
+        file.chmod(0o644)
+        assert f"{file.name}: others may read it (mode 0644)" in refused_router(tmp_path, "r.json5")
+        file.chmod(0o600)
+    ours = written[0].read_text()
+    assert '"default_permission": "deny"' in ours
+    write_private(tmp_path / "r.json5", ours.replace('"default_permission": "deny"', '"default_permission": "allow"'))
+    assert "default_permission" in refused_router(tmp_path, "r.json5")
+    write_private(tmp_path / "r.json5", ours.replace(f'"{protocol}/127.0.0.1', '"udp/127.0.0.1'))
+    assert "bad address 'udp/" in refused_router(tmp_path, "r.json5")
+    write_private(tmp_path / "r.json5", ours.replace("127.0.0.1:", "0.0.0.0:").replace('"tls/', '"tcp/'))
+    assert "will not listen on tcp/0.0.0.0" in refused_router(tmp_path, "r.json5")

@@ -33,11 +33,14 @@ def write_private(path: Path, text: str) -> None:
 def new_folder(path: Path) -> Iterator[Path]:
     """A folder of mode 0700 to fill, which takes its name only when the block ends well.
 
-    An older folder of that name is replaced.
+    An older folder of that name is replaced. Raises :class:`CredentialError` where no folder can be made.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     building = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
-    building.mkdir(mode=0o700)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        building.mkdir(mode=0o700)
+    except OSError as error:
+        raise CredentialError(f"{path}: cannot be made ({error.strerror}); choose another folder") from None
     try:
         yield building
         old = path.with_name(f".{path.name}.old.{secrets.token_hex(6)}")
@@ -49,8 +52,8 @@ def new_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(building, ignore_errors=True)
 
 
-def read_private(path: Path) -> str:
-    """The text of a file that only its owner may read.
+def read_private(path: Path, what: str = "a file of a credential") -> str:
+    """The text of a file that only its owner may read; ``what`` it should be is told if there is none.
 
     Raises:
         CredentialError: it is not there, or others may read it.
@@ -65,5 +68,5 @@ def read_private(path: Path) -> str:
                 )
             return file.read()
     except (OSError, UnicodeDecodeError) as error:
-        what = error.strerror if isinstance(error, OSError) else "not text"
-        raise CredentialError(f"{path}: cannot be read ({what}); expected a file of a credential") from None
+        why = error.strerror if isinstance(error, OSError) else "not text"
+        raise CredentialError(f"{path}: cannot be read ({why}); expected {what}") from None

@@ -24,6 +24,8 @@ from wire.credentials import Credential, Guests
 from wire.endpoints import check_stays_here_or_is_proven, parse_endpoint
 from wire.errors import CredentialError, LinkError, LoginRefused
 from wire.link import Census, Declared, Kind
+from wire.private_files import read_private
+from wire.router_config import check_router_config
 from wire.zenoh_config import ONE_THREAD, client_config, open_server_config, passwords, server_config, uses_certificates
 
 # Zenoh reads it once, when the first session of a process opens. A user's own setting stays.
@@ -85,19 +87,21 @@ def open_router(config_file: Path) -> ZenohLink:
     """A session that stands between simulator and agents, as ``palanquin credentials --router-config`` describes it.
 
     Raises:
-        LinkError: the file is not such a configuration, or its address is in use.
+        LinkError: the file is not such a configuration, or its address is bad, in use, or open to other machines.
+        CredentialError: others may read the file, or the one with the passwords that it names.
     """
+    text = read_private(config_file, "the configuration of a router")
     try:
-        text = config_file.read_text(encoding="utf-8")
-        (endpoint,) = json.loads(zenoh.Config.from_json5(text).get_json("listen/endpoints"))
-        parse_endpoint(endpoint).check_can_listen()
-        return _open(text, endpoint)
-    except (OSError, UnicodeDecodeError, zenoh.ZError, TypeError, ValueError, AttributeError) as error:
+        address = check_router_config(zenoh.Config.from_json5(text).get_json)
+    except (zenoh.ZError, ValueError) as error:
+        what = "not JSON5, or not Zenoh's" if isinstance(error, zenoh.ZError) else str(error)
         raise LinkError(
-            f"{config_file}: not a router's configuration ({str(error).splitlines()[0]}); make one with `palanquin "
-            "credentials DIR --router-config FILE --run NAME`",
+            f"{config_file}: not a router's configuration of ours ({what}); make one with `palanquin credentials DIR "
+            "--router-config FILE --run NAME`",
             exit_status=2,
         ) from error
+    address.check_can_listen()
+    return _open(text, address.text)
 
 
 def open_client(endpoint: str, credential: Credential | None = None, *, timeout_s: float = 10.0) -> ZenohLink:

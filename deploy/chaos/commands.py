@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from wire.errors import CredentialError
+
 app = typer.Typer(help="Attack a run on purpose, and see what holds.", no_args_is_help=True)
 
 
@@ -65,7 +67,8 @@ def attack(
 
     for name in (arm, *other):
         Keys(run).arm(name)
-    proof: dict[str, Any] = json.loads(_text(overlay)) if overlay else {}
+    proof = _overlay(overlay) if overlay else {}
+    parse_endpoint(connect)
     if walls:
         print(SAYS + raise_walls(parse_endpoint(connect).port, Path.cwd()), file=sys.stderr)
     target = Target(connect, run, arm, tuple(other), proof, tuple(private or ()), tuple(pid or ()))
@@ -73,5 +76,13 @@ def attack(
         print(json.dumps({"name": row.name, "way": row.way, **asdict(row.got)}), flush=True)
 
 
-def _text(place: str) -> str:
-    return sys.stdin.readline() if place == "-" else Path(place).read_text(encoding="utf-8")
+def _overlay(place: str) -> dict[str, Any]:
+    """The JSON object in a file, or in the next line of standard input. Raises :class:`CredentialError`."""
+    try:
+        found = json.loads(sys.stdin.readline() if place == "-" else Path(place).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else f"not JSON: {error}"
+        raise CredentialError(f"--overlay {place}: cannot be read ({why}); expected a JSON object") from None
+    if not isinstance(found, dict):
+        raise CredentialError(f"--overlay {place}: got a {type(found).__name__}, expected a JSON object")
+    return found
