@@ -6,13 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from processes import processes_that_name, read_json, run_to_end
+from processes import free_port, processes_that_name, read_json, run_to_end
 from rich.console import Console
 
-from deploy.chaos.attempts import Got
+from deploy.chaos.attempts import ON_THE_WIRE, Got
 from deploy.chaos.comparison import Comparison
-from deploy.chaos.comparison_report import is_closed, print_and_write
-from deploy.chaos.intruder import ATTEMPTS, Row
+from deploy.chaos.comparison_report import is_closed, print_and_write, status
+from deploy.chaos.intruder import ATTEMPTS, Row, try_all
+from deploy.chaos.target import Target
 from deploy.landlock import abi
 
 
@@ -61,3 +62,20 @@ def test_the_report_sets_what_an_open_system_gave_beside_what_was_got_here(tmp_p
     assert "- 1 of 1 gave the intruder what it wanted on an open system" in table
     assert "byte for byte" in console.export_text()
     assert read_json(tmp_path / "report.json")["same_trace"] is True
+
+
+def test_an_intruder_that_cannot_log_in_has_tested_nothing(tmp_path: Path) -> None:
+    nobody = Target(f"tcp/127.0.0.1:{free_port()}", "carry", "a1", ("a2",))
+    needs_no_session = {"call for others on the network"}
+    attempts = [each for each in ON_THE_WIRE if each.name not in needs_no_session]
+    some = [attempts[0], *(each for each in attempts if each.way in ("connect", "speak"))]
+    rows = tuple(try_all(nobody, some))
+    assert [row.name for row in rows if row.got.tested or row.got.is_open is not None] == []
+    comparison = replace(COMPARISON, here=(*HERE, *rows))
+    assert status(comparison) == 3
+    console = Console(width=200, record=True)
+    print_and_write(console, comparison, tmp_path)
+    assert "not tested, the intruder's own session did not work: hear everything, " in console.export_text()
+    opened = Row("x", "hear", Got(True, "heard 1"))
+    assert status(replace(comparison, here=(*comparison.here, opened))) == 1
+    assert status(COMPARISON) == 0

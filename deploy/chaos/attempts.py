@@ -38,6 +38,7 @@ class Got:
         edge: a key whose count at the simulator's edge tells.
         log: an arm whose follower's log tells.
         refused: the attempt is about its own key: it is closed if the simulator refused it for this reason.
+        tested: whether the intruder's own session worked; if not, the row is neither open nor closed.
     """
 
     is_open: bool | None
@@ -45,6 +46,7 @@ class Got:
     edge: str = ""
     log: str = ""
     refused: str = ""
+    tested: bool = True
 
 
 Way = Literal["hear", "speak", "pose", "disturb", "connect", "host"]
@@ -207,9 +209,10 @@ def _whisper(target: Target) -> Got:
 
 
 def _log_in(overlay: Callable[[Target], Mapping[str, Any]]) -> Callable[[Target], Got]:
-    """Open a session as somebody else; open if Zenoh lets it in and anything of the victim's is heard."""
+    """Open a session as somebody else, just after one in its own name; open if Zenoh lets it in."""
 
     def act(target: Target) -> Got:
+        target.control()
         try:
             with target.session_as(overlay(target)) as session:
                 counts = heard(session, target.keys.arm(target.victim).state)

@@ -17,7 +17,11 @@ FALSE_STATE = "refused a message of the simulator"
 
 
 def settle(rows: list[Row], folder: Path, target_run: str, own: str) -> list[Row]:
-    """The rows with every ``is_open`` decided. Raises ``RunFolderError`` if the run left no folder."""
+    """The rows with ``is_open`` decided, except where nothing was tested.
+
+    Raises:
+        RunFolderError: the run left no folder.
+    """
     counts = {(row["key"], row["direction"]): row["messages"] for row in read_audit(folder)["counts"]}
     agents = read_run(folder)["agents"]
     surplus = {key: _surplus(key, counts, Keys(target_run), agents) for key in {row.got.edge for row in rows} - {""}}
@@ -27,7 +31,7 @@ def settle(rows: list[Row], folder: Path, target_run: str, own: str) -> list[Row
 def _settled(
     got: Got, folder: Path, surplus: Mapping[str, int], agents: Mapping[str, Mapping[str, Any]], own: str
 ) -> Got:
-    if got.is_open is not None:
+    if got.is_open is not None or not got.tested:
         return got
     if got.edge:
         return replace(got, is_open=surplus[got.edge] > 0, evidence=f"{got.evidence}; {surplus[got.edge]} arrived")
