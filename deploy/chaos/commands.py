@@ -18,7 +18,7 @@ app = typer.Typer(help="Attack a run on purpose, and see what holds.", no_args_i
 def intruder(
     tls: Annotated[bool, typer.Option("--tls", help="Protect with certificates (mTLS) instead of passwords.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder of the report; a dated one under runs/ by default.")] = None,
-    arms: Annotated[int, typer.Option(min=2, max=16, help="Arms of the team that is attacked.")] = 2,
+    arms: Annotated[int, typer.Option(min=2, max=16, help="Arms of the team that is attacked.")] = 4,
     only_protected: Annotated[
         bool, typer.Option("--only-protected", help="Leave out the open system and the run without an intruder.")
     ] = False,

@@ -34,13 +34,15 @@ def _settled(
     if got.is_open is not None or not got.tested:
         return got
     if got.edge:
-        return replace(got, is_open=surplus[got.edge] > 0, evidence=f"{got.evidence}; {surplus[got.edge]} arrived")
+        calm = all(agent["phase"] == "ticking" and agent["missed_ticks"] == 0 for agent in agents.values())
+        said = f"{got.evidence}; {surplus[got.edge]} arrived"
+        return replace(got, is_open=surplus[got.edge] > 0, evidence=said, only_heard=calm)
     if got.log:
         log = (folder / LOGS / f"{got.log}.log").read_text(encoding="utf-8", errors="replace")
         arrived = FALSE_STATE in log
         return replace(got, is_open=arrived, evidence=f"{got.evidence}; {'it arrived' if arrived else 'none arrived'}")
     agent = agents[own]
-    refused = agent["refused"].get(got.refused, 0)
+    refused = min(agent["refused"].get(got.refused, 0), got.sent)
     unharmed = agent["phase"] == "ticking" and agent["missed_ticks"] == 0
     harm = "its own arm went on" if unharmed else f"its own arm is {agent['phase']}"
     return replace(got, is_open=not unharmed, evidence=f"{got.evidence}; {refused} refused as {got.refused}, {harm}")
