@@ -38,6 +38,7 @@ class Got:
         edge: a key whose count at the simulator's edge tells.
         log: an arm whose follower's log tells.
         refused: the attempt is about its own key: it is closed if the simulator refused it for this reason.
+        tested: whether the intruder's own session worked; if not, the row is neither open nor closed.
     """
 
     is_open: bool | None
@@ -45,6 +46,11 @@ class Got:
     edge: str = ""
     log: str = ""
     refused: str = ""
+    tested: bool = True
+    only_heard: bool = False
+    """It is open in that it was heard where it must not be, but it was refused there and changed nothing."""
+    sent: int = 0
+    """How many messages of its own it sent; a count of refusals beyond that is another attempt's."""
 
 
 Way = Literal["hear", "speak", "pose", "disturb", "connect", "host"]
@@ -91,7 +97,7 @@ def _says_on_its_own(make: Callable[[Target], bytes], refused: str, count: int =
     def act(target: Target) -> Got:
         with target.session() as session:
             put(session, target.keys.arm(target.own).command, *[make(target)] * count)
-        return Got(None, f"{2 * count} messages sent", refused=refused)
+        return Got(None, f"{2 * count} messages sent", refused=refused, sent=2 * count)
 
     return act
 
@@ -102,7 +108,8 @@ def _tells(make: Callable[[Target], bytes]) -> Callable[[Target], Got]:
     def act(target: Target) -> Got:
         with target.session() as session:
             matched = put(session, target.keys.arm(target.victim).state, make(target))
-        return Got(True if matched else None, "matched" if matched else "not matched", log=target.victim)
+        said = "matched" if matched else "not matched"
+        return Got(True if matched else None, said, log=target.victim, only_heard=True)
 
     return act
 
@@ -119,7 +126,8 @@ def _asks(key: Callable[[Target], str], make: Callable[[Target], bytes]) -> Call
         message = decode_any(got[0][1])
         text = message.text if isinstance(message, Refusal) else type(message).__name__
         its_own = its == target.keys.arm(target.own).hello
-        return Got(not (isinstance(message, Refusal) and its_own), f"answer: {text}")
+        refused = isinstance(message, Refusal)
+        return Got(not (refused and its_own), f"answer: {text}", only_heard=refused and not its_own)
 
     return act
 
@@ -207,9 +215,10 @@ def _whisper(target: Target) -> Got:
 
 
 def _log_in(overlay: Callable[[Target], Mapping[str, Any]]) -> Callable[[Target], Got]:
-    """Open a session as somebody else; open if Zenoh lets it in and anything of the victim's is heard."""
+    """Open a session as somebody else, just after one in its own name; open if Zenoh lets it in."""
 
     def act(target: Target) -> Got:
+        target.control()
         try:
             with target.session_as(overlay(target)) as session:
                 counts = heard(session, target.keys.arm(target.victim).state)
@@ -233,18 +242,22 @@ def _as_the_victim(target: Target) -> Mapping[str, Any]:
 
 
 def _flood(target: Target) -> Got:
-    payload, sent = command(target.own, tick=0, lease=WRONG_LEASE), 0
+    """As many as are due at each moment. Its reason of refusal is no other row's on this key, so it counts alone."""
+    payload, sent = command(target.victim, tick=0, lease=WRONG_LEASE), 0
     with target.session() as session:
         publisher = session.declare_publisher(
             target.keys.arm(target.own).command, congestion_control=zenoh.CongestionControl.DROP
         )
-        end = time.monotonic() + FLOOD_S
-        while time.monotonic() < end:
-            for _ in range(FLOOD_PER_S // 100):
+        begin = time.monotonic()
+        while sent < FLOOD_S * FLOOD_PER_S:
+            due = min(1 + int((time.monotonic() - begin) * FLOOD_PER_S), int(FLOOD_S * FLOOD_PER_S))
+            for _ in range(due - sent):
                 publisher.put(payload)
-            sent += FLOOD_PER_S // 100
-            time.sleep(0.01)
-    return Got(None, f"{sent} messages in {FLOOD_S:g} s", refused="lease")
+            sent = due
+            time.sleep(0.001)
+        took = time.monotonic() - begin
+        time.sleep(LISTEN_S)
+    return Got(None, f"{sent} messages in {took:.2f} s, {sent / took:.0f}/s", refused="arm", sent=sent)
 
 
 def _meets_others(mode: str, **changes: Any) -> Callable[[Target], Got]:

@@ -11,7 +11,7 @@ from deploy.chaos.intruder import ATTEMPTS, Row
 from deploy.chaos.staged import Staged, Tell
 from deploy.credential_store import CredentialStore
 from deploy.settings import scenario_changes
-from sim_server.run_folder import TRACE, read_audit, read_run
+from sim_server.run_folder import TRACE, compute_metrics, read_audit, read_run
 from sim_server.scenario_files import load_scenario
 from wire.zenoh_link import free_endpoint
 
@@ -35,6 +35,8 @@ class Comparison:
     ticks: int
     audit: str
     """The verdict of the attacked run's audit."""
+    expect: str = ""
+    """The attacked run's bounds that must hold at every moment, each with its value and verdict."""
 
 
 def compare(folder: Path, say: Callable[[str], None], *, arms: int, tls: bool, only_protected: bool) -> Comparison:
@@ -56,7 +58,18 @@ def compare(folder: Path, say: Callable[[str], None], *, arms: int, tls: bool, o
             say(f"the same without an intruder: {ticks} ticks")
             _in_peace(folder / "alone", arms, tls, store, ticks / 1000)
             same = (folder / "here" / TRACE).read_bytes() == (folder / "alone" / TRACE).read_bytes()
-    return Comparison(protection, arms, here, opened, same, ticks, str(read_audit(folder / "here")["verdict"]))
+    audit = str(read_audit(folder / "here")["verdict"])
+    return Comparison(protection, arms, here, opened, same, ticks, audit, _bounds(folder / "here"))
+
+
+def _bounds(folder: Path) -> str:
+    """What can be judged of a run that was stopped: its largest values so far. The goal is not reached yet."""
+    _, judged = compute_metrics(folder)
+    return ", ".join(
+        f"{row.metric} {'unknown' if row.value is None else f'{row.value:.3g}'} ({row.expected}) {row.verdict}"
+        for row in judged
+        if "_max_" in row.metric
+    )
 
 
 def _attacked(

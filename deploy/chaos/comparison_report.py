@@ -19,8 +19,20 @@ TABLE = "report.md"
 
 
 def is_closed(comparison: Comparison) -> bool:
-    """Whether every attempt was closed here, and changed nothing in the trace."""
-    return all(row.got.is_open is False for row in comparison.here) and comparison.same_trace is not False
+    """Whether every attempt was made, was closed here, and changed nothing in the trace."""
+    made = all(row.got.tested for row in (*comparison.here, *comparison.open))
+    undisturbed = comparison.same_trace is not False and "violated" not in comparison.expect
+    return made and undisturbed and all(row.got.is_open is False for row in comparison.here)
+
+
+def status(comparison: Comparison) -> int:
+    """0: all closed; 3: the intruder's own session failed in some attempt, so nobody knows; 1: something is open."""
+    if is_closed(comparison):
+        return 0
+    untested = any(not row.got.tested for row in (*comparison.here, *comparison.open))
+    disturbed = comparison.same_trace is False or "violated" in comparison.expect
+    found = disturbed or any(row.got.tested and row.got.is_open is not False for row in comparison.here)
+    return 3 if untested and not found else 1
 
 
 def print_and_write(console: Console, comparison: Comparison, folder: Path) -> None:
@@ -47,7 +59,10 @@ def print_and_write(console: Console, comparison: Comparison, folder: Path) -> N
 def _said(row: Row | None) -> str:
     if row is None:
         return "not run"
-    return f"{'OPEN' if row.got.is_open else 'closed'}: {row.got.evidence}"
+    if not row.got.tested:
+        return f"not tested: {row.got.evidence}"
+    opened = "OPEN (heard, no effect)" if row.got.only_heard else "OPEN"
+    return f"{opened if row.got.is_open else 'closed'}: {row.got.evidence}"
 
 
 def _summary(comparison: Comparison) -> list[str]:
@@ -55,10 +70,19 @@ def _summary(comparison: Comparison) -> list[str]:
     lines = [
         f"{closed} of {len(comparison.here)} attempts closed here ({comparison.arms} arms, {comparison.ticks} ticks)"
     ]
+    untested = [row.name for row in (*comparison.here, *comparison.open) if not row.got.tested]
+    if untested:
+        lines.append(f"not tested, the intruder's own session did not work: {', '.join(dict.fromkeys(untested))}")
     if comparison.open:
         opened = sum(row.got.is_open is True for row in comparison.open)
-        lines.append(f"{opened} of {len(comparison.open)} gave the intruder what it wanted on an open system")
+        effect = sum(row.got.is_open is True and not row.got.only_heard for row in comparison.open)
+        lines.append(
+            f"{opened} of {len(comparison.open)} were open on an open system: {effect} gave the intruder something,"
+            f" {opened - effect} were only heard on another's key and refused there"
+        )
     same = {True: "the same, byte for byte", False: "NOT the same", None: "not compared"}[comparison.same_trace]
     lines.append(f"the trace and that of the run without an intruder: {same}")
+    if comparison.expect:
+        lines.append(f"the attacked run's bounds that hold at any time: {comparison.expect}")
     lines.append(f"the audit of the attacked run (no key reached two agents): {comparison.audit}")
     return lines

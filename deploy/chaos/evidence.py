@@ -17,7 +17,11 @@ FALSE_STATE = "refused a message of the simulator"
 
 
 def settle(rows: list[Row], folder: Path, target_run: str, own: str) -> list[Row]:
-    """The rows with every ``is_open`` decided. Raises ``RunFolderError`` if the run left no folder."""
+    """The rows with ``is_open`` decided, except where nothing was tested.
+
+    Raises:
+        RunFolderError: the run left no folder.
+    """
     counts = {(row["key"], row["direction"]): row["messages"] for row in read_audit(folder)["counts"]}
     agents = read_run(folder)["agents"]
     surplus = {key: _surplus(key, counts, Keys(target_run), agents) for key in {row.got.edge for row in rows} - {""}}
@@ -27,16 +31,18 @@ def settle(rows: list[Row], folder: Path, target_run: str, own: str) -> list[Row
 def _settled(
     got: Got, folder: Path, surplus: Mapping[str, int], agents: Mapping[str, Mapping[str, Any]], own: str
 ) -> Got:
-    if got.is_open is not None:
+    if got.is_open is not None or not got.tested:
         return got
     if got.edge:
-        return replace(got, is_open=surplus[got.edge] > 0, evidence=f"{got.evidence}; {surplus[got.edge]} arrived")
+        calm = all(agent["phase"] == "ticking" and agent["missed_ticks"] == 0 for agent in agents.values())
+        said = f"{got.evidence}; {surplus[got.edge]} arrived"
+        return replace(got, is_open=surplus[got.edge] > 0, evidence=said, only_heard=calm)
     if got.log:
         log = (folder / LOGS / f"{got.log}.log").read_text(encoding="utf-8", errors="replace")
         arrived = FALSE_STATE in log
         return replace(got, is_open=arrived, evidence=f"{got.evidence}; {'it arrived' if arrived else 'none arrived'}")
     agent = agents[own]
-    refused = agent["refused"].get(got.refused, 0)
+    refused = min(agent["refused"].get(got.refused, 0), got.sent)
     unharmed = agent["phase"] == "ticking" and agent["missed_ticks"] == 0
     harm = "its own arm went on" if unharmed else f"its own arm is {agent['phase']}"
     return replace(got, is_open=not unharmed, evidence=f"{got.evidence}; {refused} refused as {got.refused}, {harm}")

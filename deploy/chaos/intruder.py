@@ -11,7 +11,7 @@ from pathlib import Path
 import zenoh
 
 from deploy.chaos.attempts import ON_THE_WIRE, Attempt, Got
-from deploy.chaos.target import Target
+from deploy.chaos.target import ControlFailedError, Target
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Row:
 
 
 def try_all(target: Target, attempts: Iterable[Attempt]) -> Iterator[Row]:
-    """Every attempt, one after the other. One that Zenoh does not let happen at all is closed."""
+    """Every attempt, one after the other. One that Zenoh refuses to a session that works is closed."""
     for each in attempts:
         yield Row(each.name, each.way, _try(target, each.act))
 
@@ -32,6 +32,8 @@ def try_all(target: Target, attempts: Iterable[Attempt]) -> Iterator[Row]:
 def _try(target: Target, act: Callable[[Target], Got]) -> Got:
     try:
         return act(target)
+    except ControlFailedError as error:
+        return Got(None, str(error), tested=False)
     except (zenoh.ZError, OSError) as error:
         return Got(False, f"refused: {str(error).splitlines()[0][:80]}")
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import zenoh
@@ -19,6 +20,12 @@ from wire.messages import Message
 LISTEN_S = 0.3
 """How long each attempt waits for what it might hear: hundreds of ticks of a run in lock-step."""
 OPEN_TIMEOUT_MS = 2000
+CONTROL_S = 2.0
+"""How long a session may take to show that it works, before the attempt on it counts as not made."""
+
+
+class ControlFailedError(Exception):
+    """A session could not do what is its own right: what it is denied then proves nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +58,33 @@ class Target:
 
     @contextmanager
     def session(self, mode: str = "client", **changes: Any) -> Iterator[zenoh.Session]:
-        """A session with its credential; ``changes`` are laid over it. Raises ``zenoh.ZError`` when refused."""
-        with self.session_as(self.overlay, mode, **changes) as session:
+        """A session with its credential that has shown that it works; ``changes`` are laid over it.
+
+        A client must open, and hear its own arm's state. Another mode may be turned away, that is what is tried: a
+        client must work just before it.
+
+        Raises:
+            ControlFailedError: the client did not work.
+            zenoh.ZError: the other mode was refused.
+        """
+        if mode != "client":
+            self.control()
+            with self.session_as(self.overlay, mode, **changes) as session:
+                yield session
+            return
+        with ExitStack() as stack:
+            try:
+                session = stack.enter_context(self.session_as(self.overlay, **changes))
+            except zenoh.ZError as error:
+                raise ControlFailedError(f"its own login failed: {str(error).splitlines()[0][:60]}") from error
+            if not hears(session, self.keys.arm(self.own).state):
+                raise ControlFailedError(f"its own session heard no state of {self.own} in {CONTROL_S:g} s")
             yield session
+
+    def control(self) -> None:
+        """The right credential works now. Raises ``ControlFailedError`` if not."""
+        with self.session():
+            pass
 
     @contextmanager
     def session_as(self, overlay: Mapping[str, Any], mode: str = "client", **changes: Any) -> Iterator[zenoh.Session]:
@@ -99,6 +130,17 @@ def heard(session: zenoh.Session, *expressions: str, seconds: float = LISTEN_S) 
     for subscriber in subscribers:
         subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
     return counts
+
+
+def hears(session: zenoh.Session, expression: str, patience_s: float = CONTROL_S) -> bool:
+    """Whether a message comes on this in time."""
+    came = Event()
+    callback: Callable[..., Any] = zenoh.handlers.Callback(lambda sample: came.set(), indirect=False)
+    subscriber: Any = session.declare_subscriber(expression, callback)
+    try:
+        return came.wait(patience_s)
+    finally:
+        subscriber.undeclare()
 
 
 def replies(session: zenoh.Session, selector: str, payload: bytes | None = None) -> list[tuple[str, bytes]]:
