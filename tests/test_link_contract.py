@@ -356,7 +356,7 @@ def test_an_address_of_another_machine_is_told() -> None:
 
 @pytest.mark.system
 def test_an_unknown_protocol_is_told() -> None:
-    with pytest.raises(LinkError, match="bad address .pigeon/.*expected tcp/"):
+    with pytest.raises(LinkError, match=r"bad address .pigeon/.*expected tcp/"):
         open_server("pigeon/127.0.0.1:7447")
 
 
