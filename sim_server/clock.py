@@ -15,14 +15,7 @@ def make_clock(scenario: Scenario, reception: Reception, plant: Plant, report: R
     period_ns = settings.control_period_ms * 1_000_000
     leader_every = leader.period_ms // settings.control_period_ms if leader else 1
     if settings.mode == "real-time":
-        return RealTime(
-            reception,
-            plant,
-            period_ns=period_ns,
-            leader_every=leader_every,
-            report=report,
-            when_lost=scenario.team.when_lost,
-        )
+        return RealTime(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report)
     return LockStep(
         reception,
         plant,
@@ -30,5 +23,4 @@ def make_clock(scenario: Scenario, reception: Reception, plant: Plant, report: R
         leader_every=leader_every,
         answer_timeout_s=settings.answer_timeout_s,
         report=report,
-        when_lost=scenario.team.when_lost,
     )

@@ -50,7 +50,6 @@ class Ticker(ABC):
         plant: what moves.
         period_ns: simulated time of a tick.
         leader_every: the leader sees and pulls every so many ticks.
-        when_lost: what the plant does with a lost arm, for the report.
         report: where events go.
     """
 
@@ -62,11 +61,9 @@ class Ticker(ABC):
         period_ns: int,
         leader_every: int,
         report: Report,
-        when_lost: str = "limp",
     ) -> None:
         self._reception, self._plant, self._report = reception, plant, report
         self._period_ns, self._leader_every = period_ns, leader_every
-        self._when_lost = when_lost
         self._waiting: set[str] = set()
         self._frozen: set[str] = set()
         self._thawed: set[str] = set()
@@ -135,15 +132,7 @@ class Ticker(ABC):
                 )
             else:
                 reading = readings[name]
-                message = State(
-                    name,
-                    tick,
-                    time_ns,
-                    reading.q,
-                    reading.qd,
-                    reading.tau,
-                    reading.wrench,
-                )
+                message = State(name, tick, time_ns, reading.q, reading.qd, reading.tau, reading.wrench)
             agent.link.state_sent(tick)
             agent.publisher.put(encode(message))
             if name not in self._frozen and (name in self._thawed or not agent.link.missed_in_row):
@@ -162,7 +151,10 @@ class Ticker(ABC):
             left = self._reception.answer(arrived.question)
             if left is not None:
                 self._waiting.discard(left)
-                self._stop_driving(left, left=True)
+                if left == LEADER:
+                    self._stop_pulling()
+                else:
+                    self._plant.let_down(left)
         elif arrived.kind == "order":
             self._obey(arrived.payload)
 
@@ -218,19 +210,14 @@ class Ticker(ABC):
         self._waiting.discard(name)
         agent = self._reception.agents[name]
         self._frozen.discard(name)
-        then = "stops pulling" if name == LEADER else self._when_lost
-        self._report("lost", agent=name, why=why, missed_ticks=agent.link.missed_in_row, then=then)
         # Should it still be there (it was stopped, or hung) it must not think that it is in.
         agent.publisher.put(encode(End("lost", why)))
-        self._stop_driving(name)
+        then = self._stop_pulling() if name == LEADER else self._plant.lose(name)
+        self._report("lost", agent=name, why=why, missed_ticks=agent.link.missed_in_row, then=then)
 
-    def _stop_driving(self, name: str, *, left: bool = False) -> None:
-        if name == LEADER:
-            self._plant.pull("centre", np.zeros(3))
-        elif left:
-            self._plant.let_down(name)
-        else:
-            self._plant.lose(name)
+    def _stop_pulling(self) -> str:
+        self._plant.pull("centre", np.zeros(3))
+        return "stops pulling"
 
 
 class LockStep(Ticker):
@@ -249,11 +236,8 @@ class LockStep(Ticker):
         leader_every: int,
         answer_timeout_s: float,
         report: Report,
-        when_lost: str = "limp",
     ) -> None:
-        super().__init__(
-            reception, plant, period_ns=period_ns, leader_every=leader_every, report=report, when_lost=when_lost
-        )
+        super().__init__(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report)
         self._answer_timeout_s = answer_timeout_s
 
     def _accept(self, agent: Agent, message: Command | LeaderForce) -> None:

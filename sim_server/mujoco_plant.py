@@ -6,6 +6,7 @@ Motor torques and base forces go into ``qfrc_applied``; the leader's pull into `
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NoReturn
 
 import mujoco
@@ -141,7 +142,7 @@ class MujocoPlant:
         mujoco.mju_quat2Mat(R_WO, pose[3:])
         return LoadPose(pose[:3].copy(), pose[3:].copy(), twist[:3].copy(), R_WO.reshape(3, 3) @ twist[3:])
 
-    @property
+    @cached_property
     def points(self) -> dict[str, tuple[float, ...]]:
         """Named points of the load that can be pulled, (3,) m in O."""
         return {name: tuple(float(x) for x in point) for name, point in self.world.load_points.items()}
@@ -157,9 +158,11 @@ class MujocoPlant:
         self._drivers.command(row, torque, base_force)
         self._stiffness[row] = stiffness
 
-    def lose(self, arm: str) -> None:
-        """Nobody drives this arm any more: it does what the scenario says of lost arms."""
-        self._leave_to(arm, LOST_ARMS[self.world.scenario.team.when_lost]())
+    def lose(self, arm: str) -> str:
+        """Nobody drives this arm any more: it does what the scenario says of lost arms. Returns that word."""
+        word = self.world.scenario.team.when_lost
+        self._leave_to(arm, LOST_ARMS[word]())
+        return word
 
     def let_down(self, arm: str) -> None:
         """This arm's agent has said goodbye: its share fades, the hand opens, arm and base drive clear."""

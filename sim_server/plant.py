@@ -59,8 +59,8 @@ class Plant(Protocol):
         """This tick's command for one arm (``stiffness`` is recorded only); an arm without one has missed the tick."""
         ...
 
-    def lose(self, arm: str) -> None:
-        """Its agent is gone or does not answer."""
+    def lose(self, arm: str) -> str:
+        """Its agent is gone or does not answer. Returns what the arm does now, in a word."""
         ...
 
     def let_down(self, arm: str) -> None:

@@ -77,12 +77,9 @@ class RealTime(Ticker):
         period_ns: int,
         leader_every: int,
         report: Report,
-        when_lost: str = "limp",
         wall: WallTime | None = None,
     ) -> None:
-        super().__init__(
-            reception, plant, period_ns=period_ns, leader_every=leader_every, report=report, when_lost=when_lost
-        )
+        super().__init__(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report)
         self._wall = wall or MachineTime()
         self._due_ns: int | None = None
         """When the present tick was to begin; None before the first."""

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from agents.arm_model import ArmModel, ArmSnapshot
 from agents.equations import law as law_equations
 from agents.equations import null_space as null_equations
+from agents.equations import saturation as saturation_equations
 from agents.equations import stiffness as stiffness_equations
 from agents.equations import task as task_equations
+from agents.equations import yaw as yaw_equations
 from agents.equations.law import base_force, joint_torque
 from agents.equations.null_space import (
     null_acceleration,
@@ -202,7 +204,14 @@ def test_the_page_on_the_law_names_every_equation_and_no_other() -> None:
     )
     written = {
         name
-        for module in (law_equations, null_equations, stiffness_equations, task_equations)
+        for module in (
+            law_equations,
+            null_equations,
+            saturation_equations,
+            stiffness_equations,
+            task_equations,
+            yaw_equations,
+        )
         for name, function in vars(module).items()
         if getattr(function, "__module__", None) == module.__name__ and not name.startswith("_")
     }

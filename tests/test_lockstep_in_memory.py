@@ -76,8 +76,9 @@ class Ledger:
     def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers) -> None:
         self.book.append(("command", arm, float(torque[0])))
 
-    def lose(self, arm: str) -> None:
+    def lose(self, arm: str) -> str:
         self.book.append(("lose", arm))
+        return "limp"
 
     def let_down(self, arm: str) -> None:
         self.book.append(("let_down", arm))

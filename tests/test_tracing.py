@@ -93,7 +93,7 @@ def test_the_traced_law_is_the_law(gains: dict[str, Any]) -> None:
             p_held=held.p_BE, up_E=held.R_BE[2], ahead_held=held.R_BE[:, 0],
         )  # fmt: skip
         np.testing.assert_allclose(effort.torque, torque, rtol=REORDERED, atol=REORDERED * np.abs(torque).max())
-        np.testing.assert_allclose(effort.base_force[:2], base_force, rtol=REORDERED, atol=1e-9)
+        np.testing.assert_allclose(effort.base_force, base_force, rtol=REORDERED, atol=1e-9)
         np.testing.assert_allclose(effort.stiffness, stiffness, rtol=REORDERED)
 
 

@@ -59,8 +59,8 @@ def make_controller(name: str, arm: ArmModel, gains: Mapping[str, object]) -> Co
             f"controller {name}: gain {key}: {first['msg']}; got {first['input']!r}"
             + (f"; known gains: {known}" if known else "")
         ) from None
-    except ControllerError:
-        raise
+    except ControllerError as error:
+        raise ControllerError(f"controller {name}: {error}") from error.__cause__
     except TypeError as error:
         raised_inside = error.__traceback__ is not None and error.__traceback__.tb_next is not None
         raise ControllerError(f"controller {name}: {error}; got gains {dict(gains)!r}") from (

@@ -85,7 +85,7 @@ def paper_law(
     up_E: Array,
     ahead_held: Array,
 ) -> tuple[Array, Array, Array]:
-    """Joint torque (n,) N m, base force (2,) N in B, and joint stiffness (n,) N m/rad. Equations 5 to 16.
+    """Joint torque (n,) N m, base force (3,) N, N, N m in B, and joint stiffness (n,) N m/rad. Equations 5 to 16.
 
     Args:
         qd: joint velocities, (n,) rad/s.
@@ -122,7 +122,7 @@ def paper_law(
         tau_null = tau_null + null_projection(J_x, Jbar, J[5] * moment)
 
     F_m = base_force(p_BE[:2] - p_held[:2], J[:2] @ qd, gains.base_stiffness_N_m, gains.base_damping_Ns_m)
-    return joint_torque(tau_task, tau_null, C, qd, g), F_m, K
+    return joint_torque(tau_task, tau_null, C, qd, g), np.array([*F_m, 0.0]), K
 
 
 class PaperController:
@@ -143,13 +143,12 @@ class PaperController:
         self.gains = self.gains_model.model_validate(gains)
         if len(self.gains.null_stiffness_Nm_rad) != n:
             raise ControllerError(
-                f"controller paper: null_stiffness_Nm_rad: got {len(self.gains.null_stiffness_Nm_rad)} numbers, "
+                f"null_stiffness_Nm_rad: got {len(self.gains.null_stiffness_Nm_rad)} numbers, "
                 f"expected {n}, one per joint of arm model {arm.name}"
             )
         shapes = {"qd": (n,), "M_inv": (n, n), "C": (n, n), "g": (n,), "J": (6, n), "Jdot": (6, n)}
         poses = {"p_BE": (3,), "R_BE": (3, 3), "p_held": (3,), "up_E": (3,), "ahead_held": (3,)}
         self._law = Traced(partial(paper_law, self.gains), shapes | poses, symmetric=("M_inv",))
-        self._base_force = np.zeros(3)
         self._holds = False
 
     def step(self, sensed: Sensed, dt_s: float) -> Effort:
@@ -164,6 +163,4 @@ class PaperController:
             terms["ahead_held"][:] = terms["R_BE"][:, 0]
             self._holds = True
         law()
-        torque, base_force, stiffness = law.outputs
-        self._base_force[:2] = base_force
-        return Effort(torque.copy(), self._base_force.copy(), stiffness.copy())
+        return Effort(*(each.copy() for each in law.outputs))
