@@ -19,6 +19,8 @@ from wire.messages import Command, End, Goodbye, Hello, LeaderForce, LeaderView,
 log = logging.getLogger("palanquin.agent")
 
 POLL_S = 0.01
+RETRY_S = 0.1
+"""Between two greetings that nobody answered."""
 
 
 class SimulatorGone(AgentError):
@@ -66,7 +68,8 @@ class AgentSession:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             reply = self._link.query(self._keys.hello, encode(self._hello), min(2.0, timeout_s))
-            if reply is None:
+            if reply is None:  # a transport that sees nobody to ask says so at once
+                time.sleep(RETRY_S)
                 continue
             message = decode_any(reply)
             if isinstance(message, Refusal):

@@ -164,7 +164,7 @@ class CredentialStore:
         expires = (now + timedelta(days=days)).replace(microsecond=0)
         who = principal(name, generation)
         certificate = issue(
-            (self.folder / CA / CA_CERTIFICATE).read_text(encoding="utf-8"),
+            read_private(self.folder / CA / CA_CERTIFICATE),
             read_private(self.folder / CA / CA_KEY),
             who.login,
             now,

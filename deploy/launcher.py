@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import queue
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -25,6 +24,7 @@ from sim_server.scenario import Scenario
 from wire.access import Role
 from wire.codec import decode, encode
 from wire.credentials import STDIN, Guests, credential_line, guests_line
+from wire.endpoints import parse_endpoint
 from wire.keys import Keys
 from wire.link import Link
 from wire.messages import Order, Progress
@@ -147,11 +147,8 @@ class Launcher:
 
     def wait_until_listening(self) -> None:
         """Until the simulator's port is open, or the simulator has ended."""
-        host, _, port = self._endpoint.partition("/")[2].rpartition(":")
-        while self.sim.process.poll() is None:
-            with socket.socket() as probe:
-                if probe.connect_ex((host, int(port))) == 0:
-                    return
+        place = parse_endpoint(self._endpoint)
+        while self.sim.process.poll() is None and not place.somebody_listens():
             time.sleep(POLL_S)
 
     @property

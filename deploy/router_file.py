@@ -11,16 +11,17 @@ from wire.credentials import Guests
 from wire.endpoints import check_stays_here_or_is_proven, parse_endpoint
 from wire.errors import CredentialError
 from wire.private_files import write_private
-from wire.zenoh_config import passwords, server_config, uses_certificates
+from wire.zenoh_config import passwords, server_config
 
 HEAD = """\
 // Router between simulator and agents of the run {run!r}. Made by `palanquin credentials --router-config`: make it anew
-// after every --revoke, --rotate or new arm. It holds {secret}: keep it private.
+// after every --revoke, --rotate or new arm. Keep it private, and {passwords} beside it: they hold the
+// router's key, if it has one, and the passwords.
 """
 
 
 def write_router_file(store: CredentialStore, file: Path, run: str, listen: str) -> list[Path]:
-    """Write the configuration; with passwords, a second file for them beside it. Returns what was written.
+    """Write the configuration, and a second file with the passwords beside it. Returns what was written.
 
     Raises:
         CredentialError: the file cannot be written.
@@ -32,17 +33,13 @@ def write_router_file(store: CredentialStore, file: Path, run: str, listen: str)
     file = file.absolute()
     secret = file.with_name(file.name + ".passwords")
     config = server_config(listen, guests, run, str(secret))
-    tls = uses_certificates(listen)
-    head = HEAD.format(run=run, secret="the router's key" if tls else f"nothing secret, but {secret.name} does")
-    texts = {file: head + json.dumps(config, indent=2) + "\n"}
-    if not tls:
-        texts[secret] = passwords(guests)
+    text = HEAD.format(run=run, passwords=secret.name) + json.dumps(config, indent=2) + "\n"
     if file.is_dir():
         raise CredentialError(f"--router-config {file}: is a folder; expected the file to write")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        for place, text in reversed(texts.items()):  # the passwords first: the other one names them
-            write_private(place, text)
     except OSError as error:
         raise CredentialError(f"--router-config {file}: cannot be written ({error.strerror}); choose another") from None
-    return list(texts)
+    write_private(secret, passwords(guests))  # first: the other one names it
+    write_private(file, text)
+    return [file, secret]

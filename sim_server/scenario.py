@@ -193,7 +193,8 @@ class Scenario(Section):
     @property
     def ticks(self) -> int:
         """Number of control ticks of the whole run."""
-        return math.ceil(self.duration_s * 1000 / self.clock.control_period_ms)
+        exact = self.duration_s * 1000 / self.clock.control_period_ms
+        return math.ceil(round(exact, 6))  # 2.007 s are 2007 ticks of 1 ms, not 2008 by a bit of rounding
 
     @property
     def arms(self) -> tuple[str, ...]:

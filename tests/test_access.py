@@ -93,7 +93,7 @@ def expected(login: str) -> set[tuple[str, str, str]]:
 
 @pytest.mark.parametrize("login", ["a1", "a2", "leader", "observer", "operator", "a3", "a1.2", "sim", "router", ""])
 def test_every_login_may_do_what_is_written_here_and_nothing_else(login: str) -> None:
-    config = access_control("here", TEAM, "usernames")
+    config = access_control("here", TEAM, ("usernames",))
     everything = set(product(("ingress", "egress"), EVERYTHING, [*SINGLE, *WIDE]))
     allowed = {asked for asked in everything if allows(config, login, *asked)}
     assert allowed == {asked for asked in expected(login) if asked in everything}
@@ -127,7 +127,7 @@ def test_what_one_agent_says_no_other_agent_hears() -> None:
 
 
 def test_a_simulator_at_a_router_may_do_everything_in_its_run_and_nothing_in_another() -> None:
-    config = access_control("here", (*TEAM, principal("sim")), "usernames")
+    config = access_control("here", (*TEAM, principal("sim")), ("usernames",))
     for flow, message in product(("ingress", "egress"), EVERYTHING):
         for key in (A.state, B.command, L.alive, KEYS.order, *ANY_HELLO):
             assert allows(config, "sim", flow, message, key)
@@ -136,13 +136,13 @@ def test_a_simulator_at_a_router_may_do_everything_in_its_run_and_nothing_in_ano
 
 
 def test_a_new_login_has_the_rights_of_its_name_and_the_old_login_has_none() -> None:
-    config = access_control("here", (principal("a1", 2),), "usernames")
+    config = access_control("here", (principal("a1", 2),), ("usernames",))
     assert allows(config, "a1.2", "ingress", "put", A.command)
     assert not allows(config, "a1", "ingress", "put", A.command)
 
 
 def test_certificates_are_told_by_their_common_name() -> None:
-    config = access_control("here", TEAM, "cert_common_names")
+    config = access_control("here", TEAM, ("cert_common_names",))
     assert [subject["cert_common_names"] for subject in config["subjects"]] == [[who.login] for who in TEAM]
     assert all("usernames" not in subject for subject in config["subjects"])
 
@@ -152,7 +152,7 @@ def test_a_name_that_would_reach_other_keys_is_refused(name: str) -> None:
     with pytest.raises(Refused):
         principal(name)
     with pytest.raises(Refused):
-        access_control(name, TEAM, "usernames")
+        access_control(name, TEAM, ("usernames",))
 
 
 @pytest.mark.parametrize(

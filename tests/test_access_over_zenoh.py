@@ -296,17 +296,20 @@ def test_an_agent_s_certificate_does_not_pass_for_the_simulator_s(store: Credent
 @pytest.mark.parametrize("protocol", ["tcp", "tls"])
 @pytest.mark.parametrize("how", ["revoke", "rotate"])
 def test_a_revoked_or_replaced_credential_gives_nothing(tmp_path: Path, protocol: str, how: str) -> None:
-    """A password is refused. A certificate's signature stays good: it gets a connection, and over it nothing."""
+    """Its login is refused, though a certificate's signature stays good. With somebody else's good password beside the
+    old certificate there is a connection, and over it nothing: both must prove the same login."""
     store = CredentialStore.create(tmp_path / "team", ["a1", "a2"], days=1, hosts=[])
     old = store.credential("a1")
     store.revoke("a1") if how == "revoke" else store.rotate("a1", days=1)
     heard: list[bytes] = []
     with ExitStack() as stack:
         edge = serve(stack, store, protocol)
+        refused(edge.endpoint, old)
         if protocol == "tcp":
-            refused(edge.endpoint, old)
             return
-        with open_client(edge.endpoint, old) as link, open_client(edge.endpoint, old) as accomplice:
+        good = store.credential("a2")
+        mixed = replace(good, certificate=old.certificate)
+        with open_client(edge.endpoint, mixed) as link, open_client(edge.endpoint, mixed) as accomplice:
             for key in (A.state, "**", KEYS.progress):
                 link.subscribe(key, heard.append)
             accomplice.declare_alive(A.alive)

@@ -301,3 +301,14 @@ def test_the_list_of_scenarios_has_a_line_for_each(tmp_path: Path) -> None:
     assert [line.split()[0] for line in lines] == list(shipped_names())
     for line, name in zip(lines, shipped_names(), strict=True):
         assert load_scenario(name).scenario.description in line
+
+
+@pytest.mark.parametrize("period_ms", [1, 2, 4])
+def test_a_run_has_as_many_ticks_as_its_duration_has_periods(period_ms: int) -> None:
+    whole = load_scenario("hold").scenario
+    clock = whole.clock.model_copy(update={"control_period_ms": period_ms})
+    for ticks in range(1, 20_000, 7):
+        last = whole.model_copy(update={"clock": clock, "duration_s": ticks * period_ms / 1000})
+        assert last.ticks == ticks
+        a_little_more = last.model_copy(update={"duration_s": last.duration_s + 0.3 * period_ms / 1000})
+        assert a_little_more.ticks == ticks + 1

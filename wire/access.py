@@ -7,7 +7,7 @@ expression that is asked for, so a subscription to ``**`` is denied whole, in si
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Literal
@@ -141,8 +141,11 @@ def principal(name: str, generation: int = 1) -> Principal:
     return Principal(name, NAMES_OF_ROLES.get(name, Role.FOLLOWER), login)
 
 
-def access_control(run: str, principals: Iterable[Principal], by: Subject) -> dict[str, Any]:
+def access_control(run: str, principals: Iterable[Principal], by: Sequence[Subject]) -> dict[str, Any]:
     """Zenoh's ``access_control`` for one run: the table's rows for each principal, and nothing for anybody else.
+
+    Args:
+        by: what proves the login; with several, all of them must.
 
     Raises:
         Refused: the run's name cannot be part of a key.
@@ -161,7 +164,7 @@ def access_control(run: str, principals: Iterable[Principal], by: Subject) -> di
                     "key_exprs": [row.key.format(run=run, arm=who.name)],
                 }
             )
-        subjects.append({"id": who.login, by: [who.login]})
+        subjects.append({"id": who.login} | {str(proof): [who.login] for proof in by})
         policies.append({"rules": [f"{who.login}-{n}" for n in range(len(theirs))], "subjects": [who.login]})
     return {
         "enabled": True,

@@ -11,13 +11,13 @@ import json
 import os
 import secrets
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from wire.access import Principal, Role, principal
-from wire.errors import CredentialError, WireError
+from wire.errors import CredentialError, Refused
 from wire.private_files import read_private, write_private
 
 CREDENTIAL, GUESTS = "credential.json", "guests.json"
@@ -136,20 +136,15 @@ def read_guests(place: str | Path) -> Guests:
     :func:`read_credential` does."""
     if str(place) == STDIN:
         whole = _line_of_stdin()
-        where, own, guests = "standard input", whole.get("own"), whole.get("guests")
-    else:
-        folder = _folder(Path(place))
-        if not (folder / GUESTS).exists():
-            raise CredentialError(
-                f"{folder}: the credential of an agent; expected the simulator's, which says whom it lets in ({GUESTS})"
-            )
-        where, own, guests = str(folder / GUESTS), _json(folder / CREDENTIAL), _json(folder / GUESTS)
-    if not isinstance(guests, list):
-        raise CredentialError(f"{where}: expected a list of credentials")
-    credential = _credential(where, own)
-    if str(place) != STDIN:
-        credential = _with_certificate(folder, credential)
-    return Guests(credential, tuple(_credential(where, each) for each in guests))
+        if not isinstance(whole, dict) or whole.keys() != {"own", "guests"}:
+            raise CredentialError("standard input: expected a map of `own` and `guests`")
+        return Guests(_credential("standard input", whole["own"]), _admitted("standard input", whole["guests"]))
+    folder = _folder(Path(place))
+    if not (folder / GUESTS).exists():
+        raise CredentialError(
+            f"{folder}: the credential of an agent; expected the simulator's, which says whom it lets in ({GUESTS})"
+        )
+    return Guests(read_credential(folder), _admitted(str(folder / GUESTS), _json(folder / GUESTS)))
 
 
 def credential_line(credential: Credential) -> bytes:
@@ -181,7 +176,7 @@ def _with_certificate(folder: Path, credential: Credential) -> Credential:
     if not (folder / KEY).exists():
         return credential
     certificate = Certificate(*(read_private(folder / name) for name in (AUTHORITY, CERTIFICATE, KEY)))
-    return Credential(credential.who, credential.password, credential.expires, certificate)
+    return replace(credential, certificate=certificate)
 
 
 def _json(path: Path) -> Any:
@@ -205,6 +200,12 @@ def _line_of_stdin() -> Any:
         raise CredentialError(f"standard input: not JSON ({error})") from None
 
 
+def _admitted(where: str, guests: Any) -> tuple[Credential, ...]:
+    if not isinstance(guests, list):
+        raise CredentialError(f"{where}: expected a list of credentials")
+    return tuple(_credential(where, each) for each in guests)
+
+
 def _credential(where: str, fields: Any) -> Credential:
     try:
         if fields["v"] != 1:
@@ -214,5 +215,5 @@ def _credential(where: str, fields: Any) -> Credential:
         return Credential(who, str(fields["password"]), expires or None)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise CredentialError(f"{where}: not a credential ({type(error).__name__}: {error})") from None
-    except WireError as error:
+    except Refused as error:
         raise CredentialError(f"{where}: {error}") from None

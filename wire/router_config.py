@@ -39,10 +39,8 @@ def check_router_config(value_of: Callable[[str], str]) -> Endpoint:
         raise ValueError("expected one address in listen/endpoints and none in connect/endpoints")
     address = parse_endpoint(str(listen[0]))
     check_stays_here_or_is_proven(address, has_credentials=True)
-    if address.protocol == "tls":
-        if value(MUTUAL_TLS) is not True:
-            raise ValueError(f"{MUTUAL_TLS} is {json.dumps(value(MUTUAL_TLS))}, expected true")
-        return address
+    if address.protocol == "tls" and value(MUTUAL_TLS) is not True:
+        raise ValueError(f"{MUTUAL_TLS} is {json.dumps(value(MUTUAL_TLS))}, expected true")
     passwords = value(PASSWORDS)
     if not isinstance(passwords, str):
         raise ValueError(f"{PASSWORDS} is {json.dumps(passwords)}, expected the file with the passwords")

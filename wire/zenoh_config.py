@@ -93,13 +93,13 @@ def server_config(endpoint: str, guests: Guests, run: str, passwords_file: str) 
     tell one router the name that another chose for itself, are sent by mode router only.
 
     Args:
-        passwords_file: where Zenoh finds the guests' passwords when it opens; not used with certificates.
+        passwords_file: where Zenoh finds the guests' passwords when it opens.
 
     Raises:
         CredentialError: a ``tls/`` address, and a credential without certificate.
     """
     config = open_server_config(endpoint)
-    by: Subject = "cert_common_names" if uses_certificates(endpoint) else "usernames"
+    by: tuple[Subject, ...] = ("usernames", "cert_common_names") if uses_certificates(endpoint) else ("usernames",)
     principals = [guest.who for guest in guests.in_time(datetime.now(UTC))]
     config["access_control"] = access_control(run, principals, by)
     config["low_pass_filter"] = [dict(SIZE_LIMIT)]
@@ -114,9 +114,9 @@ def server_config(endpoint: str, guests: Guests, run: str, passwords_file: str) 
             "enable_mtls": True,
             "close_link_on_expiration": True,
         }
-    else:
-        # Not the simulator's own login: with that it would let in whoever knows it.
-        transport["auth"] = {"usrpwd": {"dictionary_file": passwords_file}}
+    # With certificates too: Zenoh knows no revocation, and a certificate that was replaced still has our signature. Not
+    # the simulator's own login: with that it would let in whoever knows it.
+    transport["auth"] = {"usrpwd": {"dictionary_file": passwords_file}}
     return config
 
 
@@ -143,7 +143,7 @@ def client_config(endpoint: str, credential: Credential | None) -> Config:
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
         }
-    elif credential is not None:
+    if credential is not None:
         config["transport"]["auth"] = {"usrpwd": {"user": credential.who.login, "password": credential.password}}
     return config
 
