@@ -9,13 +9,13 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, get_args
 
 from sim_server.errors import SimError
 from sim_server.metrics import TraceFacts, physical_metrics
 from sim_server.scenario import Bound
 from sim_server.trace import read_trace
-from sim_server.verdict import Judged, judge, overall
+from sim_server.verdict import Judged, Verdict, judge, overall
 
 RUN, METRICS, AUDIT = "run.json", "metrics.json", "audit.json"
 TRACE, EVENTS, LOGS = "trace.parquet", "events.jsonl", "logs"
@@ -105,6 +105,9 @@ def read_audit(path: Path) -> dict[str, Any]:
     fields = (("verdict", str), ("why", list), ("processes", dict), ("counts", list))
     if wrong := [name for name, kind in fields if not isinstance(found.get(name), kind)]:
         raise RunFolderError(f"{path / AUDIT} is no audit: {', '.join(wrong)} missing or of the wrong type")
+    if found["verdict"] not in get_args(Verdict):
+        expected = " or ".join(get_args(Verdict))
+        raise RunFolderError(f"{path / AUDIT} is no audit: verdict: got {found['verdict']!r}, expected {expected}")
     return found
 
 

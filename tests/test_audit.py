@@ -272,6 +272,12 @@ def test_a_run_from_before_audits_and_a_spoiled_file_are_one_sentence(eavesdropp
     (line,) = ended.stderr.splitlines()
     assert "is no audit: why, processes, counts missing" in line
     assert ended.returncode == 2
+    found = read_json(eavesdropped.folder / "audit.json")
+    (old / "audit.json").write_text(json.dumps({**found, "verdict": "fine"}))
+    ended = run_to_end("audit", old, cwd=tmp_path)
+    (line,) = ended.stderr.splitlines()
+    assert "is no audit: verdict: got 'fine', expected holds or violated or unknown" in line
+    assert ended.returncode == 2
     ended = run_to_end("audit", tmp_path, cwd=tmp_path)
     (line,) = ended.stderr.splitlines()
     assert "is no run folder" in line
