@@ -13,6 +13,7 @@ STAMP    := $(VENV)/installed
 LOCK     := requirements.lock
 LOCK_BOX := .lock-venv
 TYPED    := wire agents sim_server deploy tests benchmarks
+SIDE_BY_SIDE := -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 PIP_INSTALL := -m pip --disable-pip-version-check --no-input install --progress-bar off --quiet
 
 # A sourced ROS workspace puts its own numpy, pinocchio and pytest plug-ins here; .venv shall hold what the lock says.
@@ -55,7 +56,7 @@ lint: install ## ruff check, ruff format --check, mypy
 .PHONY: test
 test: lint ## lint, then all tests (PYTEST_ARGS=... is passed on)
 	@echo "== pytest"
-	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(PYTEST_ARGS)
 
 # Keeps the versions already locked unless pyproject.toml asks otherwise; UPGRADE=--upgrade takes the newest.
 .PHONY: lock

@@ -8,9 +8,8 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
-from deploy.report import VERDICT_STYLE
+from deploy.report import VERDICT_STYLE, plain_table
 from deploy.walls import walls_in_log
 from sim_server.run_folder import LOGS
 
@@ -20,7 +19,7 @@ WAYS = {"to": "sim -> agent", "from": "agent -> sim"}
 
 def print_audit(console: Console, audit: Mapping[str, Any], folder: Path) -> None:
     """Three tables and the verdict with its reasons."""
-    processes = _table("agent", "process", "host", "lease")
+    processes = plain_table("agent", "process", "host", "lease", right=RIGHT)
     walls: dict[str, list[str]] = {}
     for name, process in audit["processes"].items():
         processes.add_row(name, *(_shown(process.get(what)) for what in ("pid", "host", "lease")))
@@ -30,20 +29,20 @@ def print_audit(console: Console, audit: Mapping[str, Any], folder: Path) -> Non
         console.print(f"walls around {', '.join(names)}, as they say: {escape(told)}", soft_wrap=True, highlight=False)
     console.print()
 
-    counts = _table("agent", "key", "direction", "messages", "bytes")
+    counts = plain_table("agent", "key", "direction", "messages", "bytes", right=RIGHT)
     for row in sorted(audit["counts"], key=lambda row: (row["agent"], row["key"], row["direction"])):
         way = WAYS[row["direction"]]
         counts.add_row(row["agent"], escape(row["key"]), way, f"{row['messages']:,}", f"{row['bytes']:,}")
     console.print(counts, "")
 
-    heard = _table("key asked for", "heard by, in the final look")
+    heard = plain_table("key asked for", "heard by, in the final look")
     for session in audit.get("sessions", {}).values():
         name = " and ".join(session["agents"]) or f"no agent, {session['address']}"
         for expression in session["heard"]:
             heard.add_row(escape(expression), escape(name))
     console.print(heard, "")
 
-    carried = _table("connection", "of", "bytes to it", "explained", "bytes from it", "known by")
+    carried = plain_table("connection", "of", "bytes to it", "explained", "bytes from it", "known by", right=RIGHT)
     for each in audit.get("connections", ()):
         figures = (f"{each[what]:,}" for what in ("bytes_to_it", "explained_at_most", "bytes_from_it"))
         carried.add_row(escape(each["from"]), escape(each["agent"]), *figures, escape(each["known"]))
@@ -57,10 +56,3 @@ def print_audit(console: Console, audit: Mapping[str, Any], folder: Path) -> Non
 
 def _shown(value: object) -> str:
     return "" if value is None else escape(str(value))
-
-
-def _table(*columns: str) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in columns:
-        table.add_column(column, justify="right" if column in RIGHT else "left")
-    return table

@@ -313,10 +313,9 @@ def _stop_on_signals(stop: Callable[[], None]) -> None:
 
 
 def _raise_walls(connect: str) -> None:
-    from deploy.walls import SAYS, raise_walls
-    from wire.endpoints import parse_endpoint
+    from deploy.walls import shut_in
 
-    print(SAYS + raise_walls(parse_endpoint(connect).port, Path.cwd()), flush=True)
+    print(shut_in(connect), flush=True)
 
 
 def _leave_on_signals() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -84,11 +84,17 @@ def _numbers(progress: Progress) -> str:
     return text
 
 
+def plain_table(*columns: str, right: Collection[str] = (), show_header: bool = True) -> Table:
+    """A table without lines, with these columns; those named in ``right`` keep their figures to the right."""
+    table = Table(box=None, pad_edge=False, header_style="bold", show_header=show_header)
+    for column in columns:
+        table.add_column(column, justify="right" if column in right else "left")
+    return table
+
+
 def print_metrics(console: Console, metrics: Mapping[str, Any], judged: Sequence[Judged]) -> None:
     """The table of all metrics, those with a bound first, and the verdict."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for column, justify in (("metric", "left"), ("value", "right"), ("expected", "left"), ("verdict", "left")):
-        table.add_column(column, justify="right" if justify == "right" else "left")
+    table = plain_table("metric", "value", "expected", "verdict", right=("value",))
     rows = {row.metric: row for row in judged}
     for name, row in rows.items():
         style = VERDICT_STYLE[row.verdict]
@@ -118,7 +124,7 @@ def _text(value: Any) -> str:
 
 def print_scenarios(console: Console, lines: Sequence[tuple[str, str]]) -> None:
     """Name and description of every scenario."""
-    table = Table(box=None, pad_edge=False, show_header=False)
+    table = plain_table("name", "description", show_header=False)
     for name, description in lines:
         table.add_row(f"[bold]{name}[/]", description)
     console.print(table)

@@ -22,6 +22,7 @@ from typing import Any
 
 from deploy.landlock import IOCTL_DEV, OWN, READ, READ_DIR, READ_FILE, WRITE_FILE, abi, restrict
 from deploy.seccomp import drop_capabilities, restrict_calls
+from wire.endpoints import parse_endpoint
 
 SAYS = "walls: "
 """How the line begins in which an agent's log says which walls stand."""
@@ -67,6 +68,16 @@ def raise_walls(port: int, own: Path) -> str:
     return _with_filter(
         text + (f"; not enforced on this kernel: {', '.join(enforced.missing)}" if enforced.missing else "")
     )
+
+
+def shut_in(connect: str) -> str:
+    """Raise the walls of an agent of the simulator at this address, around its working folder; the line that says so.
+
+    Raises:
+        LinkError: no address.
+        OSError: see :func:`raise_walls`.
+    """
+    return SAYS + raise_walls(parse_endpoint(connect).port, Path.cwd())
 
 
 def _with_filter(text: str) -> str:

@@ -196,6 +196,10 @@ class Scenario(Section):
         exact = self.duration_s * 1000 / self.clock.control_period_ms
         return math.ceil(round(exact, 6))  # 2.007 s are 2007 ticks of 1 ms, not 2008 by a bit of rounding
 
+    def seconds(self, ticks: int) -> float:
+        """Duration of a run of so many ticks."""
+        return ticks * self.clock.control_period_ms / 1000
+
     @property
     def arms(self) -> tuple[str, ...]:
         """Names of the arms, ``a1`` to ``aN``; arm ``ak`` starts at strut k - 1."""

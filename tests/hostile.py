@@ -6,6 +6,7 @@ import ctypes
 import fcntl
 import json
 import os
+import platform
 import resource
 import signal
 import socket
@@ -20,6 +21,7 @@ from agents.arm_model import ArmModel
 from agents.controllers.paper import PaperController
 
 PTRACE_SEIZE = 0x4206
+IPC_RMID = 0
 
 
 def attempts(aim: dict[str, Any]) -> dict[str, Callable[[], object]]:
@@ -43,10 +45,18 @@ def attempts(aim: dict[str, Any]) -> dict[str, Callable[[], object]]:
 
     libc = ctypes.CDLL(None, use_errno=True)
 
-    def call(number: int, *arguments: object) -> None:
+    def call(number: int, *arguments: object) -> int:
         """A system call of x86_64 by its number, where Python has no name for it."""
-        if libc.syscall(ctypes.c_long(number), *arguments) < 0:
-            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        return libc_checked(libc.syscall(ctypes.c_long(number), *arguments))
+
+    def open_queue() -> None:
+        call(71, call(68, 0x50414C51, 0o1600), IPC_RMID, None)
+
+    def open_semaphore() -> None:
+        call(66, call(64, 0x50414C51, 1, 0o1600), 0, IPC_RMID)
+
+    def open_shared_memory() -> None:
+        call(31, call(29, 0x50414C51, ctypes.c_size_t(4096), 0o1600), IPC_RMID, None)
 
     def listen(protocol: int) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM, protocol) as listener:
@@ -72,7 +82,16 @@ def attempts(aim: dict[str, Any]) -> dict[str, Callable[[], object]]:
         with open(os.__file__, "rb") as shared:
             fcntl.lockf(shared, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
+    # By number, so only where the numbers are known; of System V, whoever makes something takes it away again.
+    by_number: dict[str, Callable[[], object]] = {
+        "leave a message in the keyring": lambda: call(248, b"user", b"palanquin-q", b"x", ctypes.c_size_t(1), -4),
+        "open a message queue": open_queue,
+        "open a semaphore": open_semaphore,
+        "open shared memory of System V": open_shared_memory,
+        "show its memory again": lambda: call(157, 4, 1, 0, 0, 0),
+    }
     return {
+        **(by_number if platform.machine() == "x86_64" else {}),
         "open a udp socket": lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).close(),
         "open a unix socket": lambda: socket.socket(socket.AF_UNIX).close(),
         "ask the kernel who is connected": lambda: socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, 4).close(),
@@ -89,11 +108,6 @@ def attempts(aim: dict[str, Any]) -> dict[str, Callable[[], object]]:
         "watch a folder": watch,
         "lock a shared file": lock,
         "lock a part of a shared file": range_lock,
-        "leave a message in the keyring": lambda: call(248, b"user", b"palanquin-q", b"x", ctypes.c_size_t(1), -4),
-        "open a message queue": lambda: call(68, 0x50414C51, 0o1600),
-        "open a semaphore": lambda: call(64, 0x50414C51, 1, 0o1600),
-        "open shared memory of System V": lambda: call(29, 0x50414C51, ctypes.c_size_t(4096), 0o1600),
-        "show its memory again": lambda: call(157, 4, 1, 0, 0, 0),
         "read another's private file": private.read_text,
         "list another's folder": lambda: os.listdir(private.parent),
         "write outside its folder": lambda: (private.parent / "was-here").write_text("x"),
@@ -147,5 +161,6 @@ class Curious(PaperController):
                 {os.readlink(f"/proc/self/fd/{k}") for k in range(3, 64) if os.path.lexists(f"/proc/self/fd/{k}")}
             ),
             "arguments": sys.argv[1:],
+            "engines": sorted({"mujoco", "pinocchio"} & sys.modules.keys()),
         }
         print("curious: " + json.dumps(seen), flush=True)

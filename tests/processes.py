@@ -20,7 +20,7 @@ import psutil
 
 PALANQUIN = Path(sys.executable).with_name("palanquin")
 POLL_S = 0.02
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """Deadline for what takes a second or two on a machine that has nothing else to do."""
 
 
@@ -228,6 +228,22 @@ def read_json(path: Path) -> dict[str, Any]:
     found = json.loads(path.read_text())
     assert isinstance(found, dict)
     return found
+
+
+HUNG = "the final look did not come back within "
+"""A doubt of an audit: on a busy machine Zenoh may not tell in time who is connected. That harms nothing."""
+UNKNOWN_CONNECTION = "whose connection from "
+"""A doubt of an audit: whose a connection was cannot be told any more once it has gone, if it heard a little."""
+
+
+def not_violated(audit: Mapping[str, Any], *doubts: str) -> None:
+    """The audit holds, or it is unknown for these kinds of doubt and no other."""
+    if audit["verdict"] != "holds":
+        assert audit["verdict"] == "unknown", audit["why"]
+        assert audit["why"]
+        assert [why for why in audit["why"] if not why.startswith(doubts)] == []
+        hung = any(why.startswith(HUNG) for why in audit["why"])
+        assert hung == (not audit["final_look_came_back"]), audit["why"]
 
 
 def settings(values: Mapping[str, object]) -> list[str]:

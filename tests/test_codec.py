@@ -3,37 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgpack
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from message_strategies import MESSAGES, SAMPLES, SLOW_MACHINE, body_of, every_message, judged, packed, refusal_of
 
 from wire import PROTOCOL_VERSION
-from wire.codec import MAX_BYTES, SCHEMAS, _decode_the_long_way, decode, decode_any, encode
+from wire.codec import MAX_BYTES, SCHEMAS, decode, decode_any, encode
 from wire.errors import Reason, Refused
-from wire.messages import (
-    MAX_INT,
-    MAX_JOINTS,
-    Command,
-    Deed,
-    Done,
-    End,
-    Goodbye,
-    Hello,
-    LeaderForce,
-    LeaderView,
-    Message,
-    Order,
-    Progress,
-    Refusal,
-    State,
-    Vector,
-    Welcome,
-)
+from wire.messages import MAX_JOINTS, Message, Vector
 
 FIXED_LENGTH = {
     "wrench": 6,
@@ -55,141 +38,6 @@ LONGEST_TEXT = {
     ("done", "problem"): 1000,
 }
 """All other texts have at most 40 characters."""
-
-# Every message the peer may send: Hypothesis
-
-finite = st.floats(allow_nan=False, allow_infinity=False)
-integers = st.integers(0, MAX_INT)
-joints = st.lists(finite, min_size=1, max_size=MAX_JOINTS).map(tuple)
-
-
-def text(longest: int = 40) -> st.SearchStrategy[str]:
-    return st.text(st.characters(codec="utf-8"), max_size=longest)
-
-
-def vector(length: int) -> st.SearchStrategy[Vector]:
-    return st.tuples(*[finite] * length)
-
-
-MESSAGES: dict[str, st.SearchStrategy[Message]] = {
-    "hello": st.builds(
-        Hello,
-        role=st.sampled_from(["follower", "leader"]),
-        run=text(),
-        name=text(),
-        arm_model=text(),
-        digest=text(64),
-        pid=integers,
-        host=text(255),
-    ),
-    "welcome": st.builds(
-        Welcome,
-        lease=integers,
-        clock=st.sampled_from(["lock-step", "real-time"]),
-        control_period_ns=integers,
-        points=st.dictionaries(text(), vector(3), max_size=6),
-        force_max_N=finite,
-    ),
-    "refusal": st.builds(Refusal, reason=text(), text=text(1000)),
-    "state": st.builds(
-        State, arm=text(), tick=integers, time_ns=integers, q=joints, qd=joints, tau=joints, wrench=vector(6)
-    ),
-    "command": st.builds(
-        Command,
-        arm=text(),
-        tick=integers,
-        lease=integers,
-        torque=joints,
-        base_force=vector(3),
-        stiffness=joints,
-        step_ns=integers,
-    ),
-    "leader_view": st.builds(
-        LeaderView,
-        tick=integers,
-        time_ns=integers,
-        position=vector(3),
-        quat_wxyz=vector(4),
-        linear_velocity=vector(3),
-        angular_velocity=vector(3),
-    ),
-    "leader_force": st.builds(LeaderForce, tick=integers, lease=integers, point=text(), force=vector(3)),
-    "goodbye": st.builds(Goodbye, name=text(), lease=integers),
-    "end": st.builds(End, kind=st.sampled_from(["over", "lost"]), reason=text(1000)),
-    "progress": st.builds(
-        Progress,
-        phase=st.sampled_from(["waiting", "running", "ended"]),
-        waiting_for=text(400),
-        tick=integers,
-        ticks=integers,
-        time_s=finite,
-        real_time_factor=finite,
-        tilt_deg=finite,
-        goal_distance_m=finite,
-        missed_ticks=integers,
-        age_max_ticks=integers,
-    ),
-    "order": st.builds(Order, verb=st.just("stop")),
-    "deed": st.builds(
-        Deed, number=integers, verb=st.sampled_from(["kill", "stop", "continue", "start", "leave"]), agent=text()
-    ),
-    "done": st.builds(Done, number=integers, problem=text(1000)),
-}
-
-# One of each by hand: the start of every example of what is refused
-
-SEVEN = (0.0, -0.25, 0.5, -2.0, 1e-9, 1.5, 87.0)
-SAMPLES: dict[str, Message] = {
-    "hello": Hello("follower", "transport", "a1", "panda", "0a" * 32, 4711, "bench-7"),
-    "welcome": Welcome(2, "lock-step", 1_000_000, {"front": (0.8, 0.0, 0.72), "centre": (0.0, 0.0, 0.4)}, 40.0),
-    "refusal": Refusal("taken", "one instance at a time"),
-    "state": State("a1", 12, 12_000_000, SEVEN, SEVEN, SEVEN, (1.0, 2.0, -30.5, 0.1, 0.2, 0.3)),
-    "command": Command("a1", 12, 2, SEVEN, (4.0, -3.0, 0.5), SEVEN, 210_000),
-    "leader_view": LeaderView(20, 20_000_000, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.2)),
-    "leader_force": LeaderForce(20, 1, "front", (40.0, 0.0, 0.0)),
-    "goodbye": Goodbye("a1", 2),
-    "end": End("over", "the run is over"),
-    "progress": Progress("running", "", 100, 30_000, 0.1, 0.9, 1.25, -1.0, 7, 3),
-    "order": Order("stop"),
-    "deed": Deed(3, "kill", "a2"),
-    "done": Done(3, ""),
-}
-SLOW_MACHINE: Any = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
-"""Time is no property that is tested here: a busy machine must not make a test fail."""
-
-every_message = pytest.mark.parametrize("kind", SCHEMAS)
-
-
-def body_of(message: Message) -> dict[str, Any]:
-    """The MessagePack map of a message, built without the codec."""
-    (kind,) = [name for name, (cls, _) in SCHEMAS.items() if cls is type(message)]
-    return {"v": 1, "type": kind} | {field.name: getattr(message, field.name) for field in fields(message)}
-
-
-def packed(body: object) -> bytes:
-    return msgpack.packb(body)
-
-
-def refusal_of(payload: bytes) -> Refused:
-    """Why the payload is refused; fails if it is not."""
-    with pytest.raises(Refused) as refused:
-        decode_any(payload)
-    return refused.value
-
-
-def judged(payload: bytes) -> Message | Refused:
-    """A valid message or a refusal that can be sent back: nothing else ever comes out, no other exception either."""
-    result: Message | Refused
-    try:
-        result = decode_any(payload)
-    except Refused as refused:
-        result = refused
-    if isinstance(result, Refused):
-        sent_back = decode(encode(Refusal(result.reason, str(result))), Refusal)
-        assert (Reason(sent_back.reason), sent_back.text) == (result.reason, str(result))
-    else:
-        assert encode(decode_any(encode(result))) == encode(result)
-    return result
 
 
 # What is sent arrives
@@ -434,113 +282,3 @@ def test_a_refusal_can_be_sent_back_however_long_the_misfit_is() -> None:
     for misfit in ({long: 1}, {"type": long}, {"v": long}, {"reason": long}, {long: 1, "v": long}):
         assert isinstance(judged(packed(body | misfit)), Refused)
     assert isinstance(judged(packed(body_of(SAMPLES["order"]) | {"verb": long})), Refused)
-
-
-# Whatever comes
-
-
-@every_message
-def test_a_flipped_bit_gives_a_message_or_a_refusal(kind: str) -> None:
-    payload = encode(SAMPLES[kind])
-    for place in range(len(payload)):
-        for bit in range(8):
-            flipped = bytearray(payload)
-            flipped[place] ^= 1 << bit
-            judged(bytes(flipped))
-
-
-@settings(max_examples=300, **SLOW_MACHINE)
-@given(st.binary(max_size=400))
-def test_random_bytes_give_a_message_or_a_refusal(payload: bytes) -> None:
-    judged(payload)
-
-
-scalars = (
-    st.none()
-    | st.booleans()
-    | st.integers(-(2**63), 2**64 - 1)
-    | st.floats()
-    | st.text(st.characters(codec="utf-8"), max_size=20)
-    | st.binary(max_size=20)
-    | st.builds(msgpack.ExtType, st.integers(0, 127), st.binary(max_size=20))
-)
-values = st.recursive(
-    scalars, lambda inner: st.lists(inner, max_size=8) | st.dictionaries(text(8), inner, max_size=8), max_leaves=20
-)
-
-
-@every_message
-@settings(max_examples=20, **SLOW_MACHINE)
-@given(data=st.data())
-def test_any_value_in_any_field_gives_a_message_or_a_refusal(kind: str, data: st.DataObject) -> None:
-    body = body_of(SAMPLES[kind])
-    for name in data.draw(st.lists(st.sampled_from(sorted(body)), min_size=1, max_size=3)):
-        body[name] = data.draw(values)
-    judged(packed(body))
-
-
-@settings(max_examples=100, **SLOW_MACHINE)
-@given(values)
-def test_any_value_gives_a_refusal_when_it_is_no_message(value: object) -> None:
-    assert isinstance(judged(packed(value)), Refused)
-
-
-EXAMPLES: dict[str, Message] = {
-    "state": State("a1", 5, 5_000_000, (0.5,) * 7, (0.25,) * 7, (1.0,) * 7, (2.0,) * 6),
-    "command": Command("a1", 5, 1, (0.5,) * 7, (0.25,) * 3, (1.0,) * 7, 100),
-    "leader_view": LeaderView(5, 5_000_000, (0.5,) * 3, (1.0, 0.0, 0.0, 0.0), (0.25,) * 3, (1.0,) * 3),
-}
-NAME_OF = {cls: name for name, (cls, _) in SCHEMAS.items()}
-
-# The short way in: it accepts nothing that the long way does not, and says nothing else.
-
-
-def outcome(way: Callable[[bytes], Message], payload: bytes) -> Message | Reason:
-    try:
-        return way(payload)
-    except Refused as refusal:
-        return refusal.reason
-
-
-@given(st.one_of(*MESSAGES.values()))
-def test_what_is_sent_is_one_plain_map(message: Message) -> None:
-    """Bytes as any MessagePack library makes them: version and type, then the fields in order."""
-    name, values = NAME_OF[type(message)], {field.name: getattr(message, field.name) for field in fields(message)}
-    assert encode(message) == msgpack.packb({"v": PROTOCOL_VERSION, "type": name, **values})
-
-
-@settings(suppress_health_check=[HealthCheck.too_slow], max_examples=400)
-@given(st.one_of(MESSAGES["state"], MESSAGES["command"], MESSAGES["leader_view"]), st.data())
-def test_the_short_way_in_lets_nothing_else_in_than_the_long_way(message: Message, data: st.DataObject) -> None:
-    payload = bytearray(encode(message))
-    for _ in range(data.draw(st.integers(0, 3))):
-        at = data.draw(st.integers(0, len(payload) - 1))
-        match data.draw(st.sampled_from(["set", "cut", "insert"])):
-            case "set":
-                payload[at] = data.draw(st.integers(0, 255))
-            case "cut":
-                del payload[at : at + data.draw(st.integers(1, 9))]
-            case _:
-                payload[at:at] = data.draw(st.binary(max_size=9))
-        if not payload:
-            return
-    # By repr, since nothing equals a number that is not one: neither way may let one in.
-    assert repr(outcome(decode_any, bytes(payload))) == repr(outcome(_decode_the_long_way, bytes(payload)))
-
-
-@given(st.one_of(MESSAGES["state"], MESSAGES["command"]), st.data())
-def test_one_wrong_field_is_refused_both_ways_for_the_same_reason(message: Message, data: st.DataObject) -> None:
-    body = msgpack.unpackb(encode(message), use_list=False)
-    name = data.draw(st.sampled_from([key for key in body if key not in ("v", "type")]))
-    body[name] = data.draw(
-        st.sampled_from([None, True, -1, 2**63, 1.5, "x" * 41, (), (1.0,) * 17, (1, 2, 3), (math.nan,) * 3, {}, b"x"])
-    )
-    payload = msgpack.packb(body)
-    assert repr(outcome(decode_any, payload)) == repr(outcome(_decode_the_long_way, payload))
-
-
-@pytest.mark.parametrize("name", ["state", "command", "leader_view"])
-def test_a_sender_may_order_its_fields_as_it_likes(name: str) -> None:
-    message = EXAMPLES[name]
-    body = msgpack.unpackb(encode(message), use_list=False)
-    assert decode_any(msgpack.packb(dict(reversed(body.items())))) == message

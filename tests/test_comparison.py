@@ -6,13 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from processes import free_port, processes_that_name, read_json, run_to_end
+from processes import UNKNOWN_CONNECTION, free_port, not_violated, processes_that_name, read_json, run_to_end
 from rich.console import Console
 
-from deploy.chaos.attempts import ON_THE_WIRE, Got
+from deploy.chaos import target
+from deploy.chaos.attempt import Got
 from deploy.chaos.comparison import Comparison
 from deploy.chaos.comparison_report import is_closed, print_and_write, status
-from deploy.chaos.intruder import ATTEMPTS, Row, try_all
+from deploy.chaos.intruder import ATTEMPTS, ON_THE_WIRE, Row, try_all
 from deploy.chaos.target import Target
 from deploy.landlock import abi
 
@@ -33,12 +34,9 @@ def test_all_that_an_intruder_tries_is_closed(option: tuple[str, ...], protectio
     assert [row["name"] for row in report["here"]] == [attempt.name for attempt in ATTEMPTS]
     assert [row["name"] for row in report["here"] if row["got"]["is_open"] is not False] == []
     assert report["expect"].count("holds") == 3, report["expect"]  # tilt, sag, the leader's force
-    assert len(ATTEMPTS) >= 25
     assert f"{len(ATTEMPTS)} of {len(ATTEMPTS)} attempts closed here" in ended.stdout
-    # Never violated. A session in mode peer, with a1's credential, now and then gets some of a1's own states while it
-    # opens; who it was cannot be told afterwards.
-    audit = read_json(folder / "here" / "audit.json")
-    assert audit["verdict"] == "holds" or all(why.startswith("whose connection") for why in audit["why"]), audit["why"]
+    # A session in mode peer, with a1's credential, now and then gets some of a1's own states while it opens.
+    not_violated(read_json(folder / "here" / "audit.json"), UNKNOWN_CONNECTION)
     assert processes_that_name(str(folder)) == []
 
 
@@ -66,7 +64,9 @@ def test_the_report_sets_what_an_open_system_gave_beside_what_was_got_here(tmp_p
     assert read_json(tmp_path / "report.json")["same_trace"] is True
 
 
-def test_an_intruder_that_cannot_log_in_has_tested_nothing(tmp_path: Path) -> None:
+@pytest.mark.system
+def test_an_intruder_that_cannot_log_in_has_tested_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(target, "OPEN_TIMEOUT_MS", 100)  # a dozen logins wait for it, and nobody is there
     nobody = Target(f"tcp/127.0.0.1:{free_port()}", "carry", "a1", ("a2",))
     needs_no_session = {"call for others on the network"}
     attempts = [each for each in ON_THE_WIRE if each.name not in needs_no_session]

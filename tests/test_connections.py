@@ -26,6 +26,8 @@ def test_the_kernel_counts_every_byte_of_both_directions_on_the_listening_port_o
     try:
         server, other = (socket.create_server((host, 0), family=family) for _ in range(2))
     except OSError:
+        if ":" not in host:
+            raise
         pytest.skip(f"this machine has no {host}")
     port = server.getsockname()[1]
     tap = Wiretap(parse_endpoint(f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"))
@@ -150,25 +152,24 @@ def test_an_agent_that_came_back_has_two_connections_and_each_is_held_against_it
     assert kernel.account({1: {"a1"}, 3: {"a2"}}, a1=1, a2=2).violations
 
 
-def test_one_that_heard_and_went_is_not_taken_for_an_agent_that_is_there() -> None:
+def account_after_one_heard_and_went(count: int) -> Account:
+    """Two agents that stay, and a third connection that heard so many states."""
     kernel = Kernel()
     kernel.opened(1, 2, 3)
     kernel.ticks(500, a1=1, a2=2)
-    kernel.heard_more(3, 400)
+    kernel.heard_more(3, count)
     kernel.count()
     del kernel.now[3]
-    (doubt,) = kernel.account({1: {"a1"}, 2: {"a2"}}, a1=1, a2=1).doubts
+    return kernel.account({1: {"a1"}, 2: {"a2"}}, a1=1, a2=1)
+
+
+def test_one_that_heard_and_went_is_not_taken_for_an_agent_that_is_there() -> None:
+    (doubt,) = account_after_one_heard_and_went(400).doubts
     assert doubt == "whose connection from here:3 was is not known; it carried 124,060 bytes"
 
 
 def test_one_that_heard_two_agents_and_went_is_a_violation_whoever_it_was() -> None:
-    kernel = Kernel()
-    kernel.opened(1, 2, 3)
-    kernel.ticks(500, a1=1, a2=2)
-    kernel.heard_more(3, 1000)
-    kernel.count()
-    del kernel.now[3]
-    (said,) = kernel.account({1: {"a1"}, 2: {"a2"}}, a1=1, a2=1).violations
+    (said,) = account_after_one_heard_and_went(1000).violations
     assert "more than the messages to any one agent explain" in said
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import free_port, launched, read_events, read_json, started
+from processes import free_port, launched, read_events, read_json, started, wait_until
 
 from sim_server.trace import read_trace
 
@@ -79,8 +79,12 @@ class Told:
 def tell(cwd: Path) -> Told:
     with launched(str(scenario_file(cwd, STORY)), cwd, {}) as run:
         run.command.wait_until(lambda: run.has("started"), "the start")
-        while run.command.process.poll() is None:  # whoever is restarted must be seen, to be missed afterwards
-            run.command.look()
+
+        def ended() -> bool:
+            run.command.look()  # whoever is restarted must be seen, to be missed afterwards
+            return run.command.process.poll() is not None
+
+        wait_until(ended, "the end")
         status = run.command.end()
         return Told(run.folder, status, run.command.said(), run.command.survivors())
 

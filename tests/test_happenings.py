@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from bench import LOST_AFTER, RUN, TIMEOUT_S, Bench, MemoryAgent, silent
 from hypothesis import given
 from hypothesis import strategies as st
-from test_lockstep_in_memory import LOST_AFTER, RUN, TIMEOUT_S, Bench, MemoryAgent, silent
 
 from sim_server import happenings
 from sim_server.errors import ScenarioError
@@ -224,7 +224,6 @@ def test_a_stopped_agent_whose_place_another_takes_is_lost_first() -> None:
     def replace(deed: Deed) -> str:
         if deed.verb == "start":
             stage.agents["a2"].link.close()
-            stage.bench.broker.link()
         return stage.obey(deed)
 
     stage.do = replace

@@ -13,9 +13,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import Started, free_port, read_events, read_json, run_to_end, settings, started
+from processes import (
+    HUNG,
+    UNKNOWN_CONNECTION,
+    Started,
+    free_port,
+    not_violated,
+    read_events,
+    read_json,
+    run_to_end,
+    settings,
+    started,
+)
 
-from deploy.chaos.attempts import Got
+from deploy.chaos.attempt import Got
 from deploy.chaos.evidence import settle
 from deploy.chaos.intruder import ATTEMPTS, Row
 from deploy.chaos.target import merged
@@ -88,7 +99,8 @@ def test_an_intruder_tries_at_least_forty_things_and_each_has_an_answer(attacked
 
 OPENS = {
     *("hear everything", "hear all of Palanquin", "hear the whole run", "hear another arm's state"),
-    *("hear another arm's commands", "hear the leader's view of the load", "hear the truth", "ask who is alive"),
+    *("hear all arms' states", "hear another arm's commands", "hear the leader's view of the load"),
+    *("hear the leader's force", "hear the truth", "ask who is alive"),
     *("watch whether another lives", "whisper on a key of one's own", "hear as a peer", "hear as a router"),
     *("log in without a credential", "greet as another on its key", "answer greetings for the simulator"),
     *("command another arm", "pull as the leader", "order as the operator", "tell another a false state"),
@@ -99,6 +111,18 @@ CLOSED_BY_THE_LIFE_CYCLE = {
     *("say goodbye with a wrong lease", "command with a stale lease", "replay an old command", "flood"),
     *("command a tick to come", "send what is no message", "send what is too long"),
 }
+CLOSED_BY_HOW_IT_IS_BUILT = {
+    "read the simulator's tables": "the simulator's session answers nobody but itself",
+    "write the simulator's settings": "the simulator's session takes no settings from anybody",
+    "gossip as a peer": "the simulator's session does not gossip",
+    "gossip as a router": "the simulator's session does not gossip",
+    "call for others on the network": "no session answers a call: all have scouting off",
+    "log in as another": "a simulator that asks for no password does not open to one who brings a password",
+    "forge another's sign of life": "the edge is told of a sign of life once, and the other's own is there",
+}
+CLOSED_BY_THE_WALLS = {"listen for others"}
+"""It would meet nobody without walls either: the others are clients and connect to nobody else."""
+HOST = {attempt.name for attempt in ATTEMPTS if attempt.way == "host"}
 
 
 def test_an_open_system_gives_an_intruder_nearly_all_that_access_rules_are_for(attacked: Attacked) -> None:
@@ -106,16 +130,25 @@ def test_an_open_system_gives_an_intruder_nearly_all_that_access_rules_are_for(a
 
 
 def test_what_the_protocol_refuses_is_closed_on_an_open_system_too(attacked: Attacked) -> None:
-    assert attacked.named(False) >= CLOSED_BY_THE_LIFE_CYCLE | {"read the simulator's tables"}
+    assert attacked.named(False) >= CLOSED_BY_THE_LIFE_CYCLE
     refused = read_json(attacked.folder / "run.json")["agents"]["a1"]["refused"]
     assert {"lease", "stale", "future", "malformed", "length"} <= set(refused)
 
 
+@pytest.mark.parametrize(("name", "why"), CLOSED_BY_HOW_IT_IS_BUILT.items())
+def test_what_no_session_of_ours_does_is_closed_on_an_open_system_too(attacked: Attacked, name: str, why: str) -> None:
+    """So these rows prove nothing about the access rules."""
+    assert attacked.rows[name].got.is_open is False, (attacked.rows[name].got.evidence, why)
+
+
 @pytest.mark.skipif(abi() < 6, reason="this kernel's Landlock lacks a wall")
 def test_inside_walls_nothing_of_the_host_is_open(attacked: Attacked) -> None:
-    host = {row.name for row in attacked.rows.values() if row.way == "host"}
-    assert host <= attacked.named(False)
-    assert "listen for others" in attacked.named(False)
+    assert attacked.named(False) >= HOST | CLOSED_BY_THE_WALLS
+
+
+def test_every_attempt_is_judged_above() -> None:
+    judged = [*OPENS, *CLOSED_BY_THE_LIFE_CYCLE, *CLOSED_BY_HOW_IT_IS_BUILT, *CLOSED_BY_THE_WALLS, *HOST]
+    assert sorted(judged) == sorted(attempt.name for attempt in ATTEMPTS)
 
 
 def test_an_attack_that_only_costs_time_leaves_the_trace_as_it_was(attacked: Attacked, tmp_path: Path) -> None:
@@ -127,9 +160,15 @@ def test_an_attack_that_only_costs_time_leaves_the_trace_as_it_was(attacked: Att
 
 def test_the_audit_names_the_intruder(attacked: Attacked) -> None:
     audit = read_json(attacked.folder / "audit.json")
-    # On a machine so busy that Zenoh does not tell within two seconds, the audit says that instead.
-    hung = audit["verdict"] == "unknown" and any("did not come back" in why for why in audit["why"])
-    assert audit["verdict"] == "violated" or hung, audit["why"]
+    if audit["verdict"] == "unknown":
+        assert audit["final_look_came_back"] is False
+        not_violated(audit, HUNG, UNKNOWN_CONNECTION)
+        return
+    assert audit["verdict"] == "violated", audit["why"]
+    # It has gone by then: what it heard was carried by a connection that no agent's own messages explain.
+    listened = [why for why in audit["why"] if why.startswith("a session that is no agent") and " listened to " in why]
+    carried = [why for why in audit["why"] if why.startswith("a connection from ") and "to any one agent" in why]
+    assert listened or carried, audit["why"]
 
 
 def test_a_credential_is_laid_over_a_session_and_takes_nothing_away() -> None:

@@ -13,7 +13,19 @@ from typing import Any
 
 import pytest
 import zenoh
-from processes import Started, free_port, launched, read_events, read_json, run_to_end, settings, started
+from processes import (
+    HUNG,
+    UNKNOWN_CONNECTION,
+    Started,
+    free_port,
+    launched,
+    not_violated,
+    read_events,
+    read_json,
+    run_to_end,
+    settings,
+    started,
+)
 
 from agents.follower import FollowerSettings, run_follower
 from deploy.launcher import leader_arguments
@@ -36,7 +48,6 @@ class OpenRun:
     folder: Path
     audit: dict[str, Any]
     status: int
-    wall_s: float
 
 
 def carry(cwd: Path, duration_s: float, misbehave: Callable[[ZenohLink, str], None]) -> OpenRun:
@@ -62,12 +73,10 @@ def carry(cwd: Path, duration_s: float, misbehave: Callable[[ZenohLink, str], No
         a2 = threading.Thread(target=follow, daemon=True)
         a2.start()
         sim.wait_until(lambda: any(event["kind"] == "started" for event in read_events(folder)), "the start")
-        start_wall = time.monotonic()
         misbehave(link, endpoint)
         status = sim.end()
-        wall_s = time.monotonic() - start_wall
         a2.join(10.0)
-    return OpenRun(folder, read_json(folder / "audit.json"), status, wall_s)
+    return OpenRun(folder, read_json(folder / "audit.json"), status)
 
 
 def test_who_listened_in_the_middle_of_the_run_and_went_quiet_is_caught_by_the_bytes_alone(tmp_path: Path) -> None:
@@ -123,18 +132,18 @@ def test_those_who_come_declare_and_go_without_a_pause_cannot_hang_the_simulator
         over.set()
     assert sum(went) > 20, "nobody disturbed it"
     assert run.status == 1  # two seconds do not reach the goal
-    assert run.wall_s < 60.0
     assert read_json(run.folder / "run.json")["ended"]["completed"]
     assert (run.folder / "metrics.json").exists()
-    assert run.audit["verdict"] in ("holds", "unknown")  # unknown if the final look hung, which harms nothing
+    not_violated(run.audit, HUNG, UNKNOWN_CONNECTION)
     assert not list(run.folder.glob("*.part"))
 
 
 @pytest.mark.parametrize(
     ("scenario", "values"),
-    [("hold", {"duration_s": 0.2}), ("transport", {"duration_s": 1.5}), ("transport-six", {"duration_s": 0.5})],
+    [("hold", {**TEAM, "duration_s": 0.2}), ("transport-six", {"duration_s": 0.5})],
 )
 def test_an_honest_run_holds(scenario: str, values: dict[str, float], tmp_path: Path) -> None:
+    """Two arms and six; a run of four is audited in test_system."""
     with launched(scenario, tmp_path, values) as run:
         run.command.end()
     ended = run_to_end("audit", run.folder, cwd=tmp_path)
@@ -143,14 +152,14 @@ def test_an_honest_run_holds(scenario: str, values: dict[str, float], tmp_path: 
 
 
 def test_a_run_with_a_killed_follower_holds(tmp_path: Path) -> None:
-    with launched("transport", tmp_path, {"duration_s": 2.5}) as run:
+    with launched("transport", tmp_path, {**TEAM, "duration_s": 2.5}) as run:
         run.wait_until_carrying(0.6)
-        run.signal("a3", signal.SIGKILL)
+        run.signal("a2", signal.SIGKILL)
         run.command.end()
     audit = read_json(run.folder / "audit.json")
     assert audit["verdict"] == "holds", audit["why"]
     (gone,) = [each for each in audit["connections"] if each["known"] != "final look"]
-    assert gone["agent"] == "a3"
+    assert gone["agent"] == "a2"
 
 
 HANGS = """
@@ -167,7 +176,7 @@ def test_a_final_look_that_never_comes_back_costs_two_seconds_and_the_audits_ver
     """As when Zenoh hangs: neither the look nor closing the session ever returns."""
     (tmp_path / "sitecustomize.py").write_text(HANGS)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with launched("hold", tmp_path, {"duration_s": 0.3}) as run:
+    with launched("hold", tmp_path, {**TEAM, "duration_s": 0.3}) as run:
         assert run.command.end() == 0
         assert not run.command.survivors()
     audit = read_json(run.folder / "audit.json")

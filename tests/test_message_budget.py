@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from bench import ask
 
 from deploy.launcher import follower_arguments
 from sim_server.layout import Pose
@@ -22,7 +23,7 @@ from sim_server.world import build_world
 from wire.arms import arm_digest
 from wire.codec import SCHEMAS, decode, decode_any, encode
 from wire.keys import Keys
-from wire.memory import Broker, MemoryQuestion, key_matches
+from wire.memory import Broker, MemoryQuestion
 from wire.messages import Command, Hello, LeaderForce, LeaderView, Refusal, State, Welcome
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -72,14 +73,6 @@ class Ear:
     end: bytes = b""
 
 
-def ask(broker: Broker, key: str, payload: bytes) -> MemoryQuestion:
-    question = MemoryQuestion(key, payload)
-    for _, expression, handler in tuple(broker.queryables):
-        if key_matches(expression, key):
-            handler(question)
-    return question
-
-
 def listen(named: NamedScenario, folder: Path) -> Ear:
     """A real server, MuJoCo and all, over the in-memory wire: every arm holds the torque it feels, nobody pulls."""
     broker, ear, keys = Broker(), Ear(), Keys(RUN)
@@ -106,7 +99,7 @@ def listen(named: NamedScenario, folder: Path) -> Ear:
                 link.close()
 
         link.subscribe(its.state, answer)
-        question = ask(broker, its.hello, encode(hello))
+        question = ask(broker, its.hello, hello)
         link.declare_alive(its.alive)
         return question
 
@@ -243,7 +236,8 @@ def test_what_a_follower_is_told_at_its_start_is_its_own_arm_and_law() -> None:
 def test_a_refusal_of_an_unknown_name_names_nobody_else(tmp_path: Path) -> None:
     broker = Broker()
     server = Server(broker.link(), scenario(), RUN, RunFolder(tmp_path / "run"))
-    question = ask(broker, Keys(RUN).arm("a9").hello, encode(Hello("follower", RUN, "a9", "panda", "", 1, "here")))
+    question = ask(broker, Keys(RUN).arm("a9").hello, Hello("follower", RUN, "a9", "panda", "", 1, "here"))
     server._clock.take(server._reception.inbox.get())
     refusal = decode(question.replies[0], Refusal)
+    assert "a9" in refusal.text
     assert not re.search(r"\ba[1-8]\b|leader|\b4\b", refusal.text)

@@ -1,54 +1,22 @@
-"""The MuJoCo plant against laws of mechanics (energy, momentum, Newton and Euler), its sensors against their sigma."""
+"""The MuJoCo plant against laws of mechanics: energy, momentum, Newton and Euler."""
 
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from plants import NO_STIFFNESS, QUIET, plant_of, scenario
 
 from sim_server.errors import PlantFailed
 from sim_server.mujoco_plant import MujocoPlant
-from sim_server.scenario import Scenario
 from sim_server.scenario_files import load_scenario, shipped_names
-from sim_server.sensor_noise import SensorNoise
-from sim_server.world import ArmIds, build_world
+from sim_server.world import build_world
 from wire.arms.limits import arm_limits
 
 Array = NDArray[np.float64]
-
-QUIET = {
-    "position_noise_rad": 0,
-    "velocity_noise_rad_s": 0,
-    "torque_noise_Nm": 0,
-    "wrench_noise_N": 0,
-    "wrench_noise_Nm": 0,
-}
-NO_STIFFNESS = np.zeros(7)
-
-
-def scenario(count: int = 4, *, step_ms: int = 1, seed: int = 1, **sections: Any) -> Scenario:
-    """A table of 20 kg and its team. ``plant`` and ``base`` are laid over the defaults."""
-    plant = {"physics_step_ms": step_ms} | sections.pop("plant", {})
-    return Scenario.model_validate(
-        {
-            "description": "test",
-            "seed": seed,
-            "team": {"count": count},
-            "load": {"mass_kg": 20.0} | sections.pop("load", {}),
-            "leader": {"goal_m": [2.0, 0.0], "period_ms": 20},
-            "clock": {"control_period_ms": step_ms},
-            "plant": plant,
-            **sections,
-        }
-    )
-
-
-def plant_of(given: Scenario) -> MujocoPlant:
-    return MujocoPlant(build_world(given))
 
 
 def rotation(quat_wxyz: Array) -> Array:
@@ -270,80 +238,6 @@ def test_the_pull_stays_at_its_point_while_the_load_turns() -> None:
     np.testing.assert_allclose(angular_momentum() - before, impulse, rtol=0, atol=0.1)
 
 
-# Sensors
-
-
-def exact_and_sensed(plant: MujocoPlant, reads: int) -> tuple[Array, Array]:
-    """The truth, (arms, 27), and ``reads`` readings of it, (reads, arms, 27): q, qd, tau, wrench."""
-    data, arms = plant.world.data, plant.world.arms.values()
-
-    def truth(ids: ArmIds) -> Array:
-        sensor = data.sensordata
-        motors = data.qfrc_applied[ids.arm_dof]
-        parts = (data.qpos[ids.arm_qpos], data.qvel[ids.arm_dof], motors)
-        return np.concatenate([*parts, sensor[ids.force_sensor], sensor[ids.torque_sensor]])
-
-    sensed = [
-        [np.concatenate([each.q, each.qd, each.tau, each.wrench]) for each in plant.read().values()]
-        for _ in range(reads)
-    ]
-    return np.array([truth(ids) for ids in arms]), np.array(sensed)
-
-
-def test_sensor_noise_has_the_stated_sigma_no_bias_and_no_echo() -> None:
-    stated = {
-        "position_noise_rad": 2e-3,
-        "velocity_noise_rad_s": 0.03,
-        "torque_noise_Nm": 0.4,
-        "wrench_noise_N": 1.5,
-        "wrench_noise_Nm": 0.06,
-    }
-    plant = plant_of(scenario(plant=stated))
-    for _ in range(3):
-        plant.step()
-    reads = 2000
-    exact, sensed = exact_and_sensed(plant, reads)
-    sigma = np.repeat(list(stated.values()), [7, 7, 7, 3, 3])
-    z = (sensed - exact) / sigma
-    kinds = np.split(z, [7, 14, 21, 24], axis=2)
-    for kind in kinds:
-        n = kind.size
-        # Five standard errors of a normal sample's deviation and mean: a false alarm in two million.
-        assert np.std(kind) == pytest.approx(1.0, abs=5 / np.sqrt(2 * n))
-        assert abs(np.mean(kind)) < 5 / np.sqrt(n)
-    channels = z.reshape(reads, -1)
-    echo = np.corrcoef(channels.T) - np.eye(channels.shape[1])
-    # 108 channels, 5778 pairs: the largest of so many is near 4 standard errors; 6 is a false alarm in 1e5.
-    assert np.abs(echo).max() < 6 / np.sqrt(reads)
-    assert abs(np.mean(channels[1:] * channels[:-1])) < 5 / np.sqrt(channels.size)
-
-
-def test_without_noise_sensors_tell_the_truth() -> None:
-    plant = plant_of(scenario(plant=QUIET))
-    plant.step()
-    exact, sensed = exact_and_sensed(plant, 1)
-    np.testing.assert_array_equal(sensed[0], exact)
-
-
-def test_noise_is_repeatable_per_seed_and_another_seed_is_another_noise() -> None:
-    first, again, other = (exact_and_sensed(plant_of(scenario(seed=seed)), 3)[1] for seed in (5, 5, 6))
-    np.testing.assert_array_equal(first, again)
-    assert not np.isin(first, other).any()
-
-
-def test_the_torque_sensor_lags_no_more_than_the_driver() -> None:
-    """What is measured is what the driver applies, which moves towards a command by 1 N m in each millisecond."""
-    plant = plant_of(scenario(plant=QUIET))
-    start = np.array(plant.read()["a1"].tau)
-    measured = []
-    for _ in range(4):
-        plant.command("a1", start + 2.5, np.zeros(3), NO_STIFFNESS)
-        plant.step()
-        measured.append(plant.read()["a1"].tau - start)
-    # Rounding of torques below 100 N m.
-    np.testing.assert_allclose(measured, np.outer([1.0, 2.0, 2.5, 2.5], np.ones(7)), rtol=0, atol=1e-13)
-
-
 # The start
 
 
@@ -409,12 +303,3 @@ def test_physics_out_of_range_says_so_and_does_not_go_back_to_the_start() -> Non
         step_often(plant, 100)
     position = plant.load_pose().position
     assert not np.allclose(position[:2], 0.0, atol=1e-6), "MuJoCo's own reset would have put it back to where it began"
-
-
-def test_an_arms_noise_tells_nothing_of_the_others_not_even_how_many_there_are() -> None:
-    """Whoever knows the seed could otherwise read the size of the team from it."""
-    alone, team = (SensorNoise(np.ones(27), seed=4, arms=arms) for arms in (1, 5))
-    for _ in range(600):  # past two blocks of numbers drawn ahead
-        np.testing.assert_array_equal(alone.draw()[0], team.draw()[0])
-    of_five = team.draw()
-    assert len(np.unique(of_five)) == of_five.size

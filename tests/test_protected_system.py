@@ -21,6 +21,8 @@ from deploy.credential_store import CredentialStore
 from deploy.launcher import leader_arguments
 from deploy.router_file import write_router_file
 from sim_server.scenario_files import load_scenario
+from wire.access import principal
+from wire.credentials import Credential
 from wire.keys import Keys
 from wire.link import Link
 from wire.private_files import write_private
@@ -32,6 +34,9 @@ RUN = "guarded"
 KEYS = Keys(RUN)
 ARMS = ("a1", "a2")
 TEAM = {"team.count": 2, "load.mass_kg": 8.0}
+FOREIGN = (KEYS.arm("a2").state, KEYS.leader.state, f"{KEYS.root}/truth/**")
+EVERYTHING = ("**", "palanquin/**")
+"""What the spy asks for, besides: these reach its own key as well."""
 
 
 @dataclass
@@ -45,6 +50,9 @@ class Ears:
             self.heard[key] = []
             link.subscribe(key, self.heard[key].append)
 
+    def counts(self, *keys: str) -> dict[str, int]:
+        return {key: len(self.heard[key]) for key in keys}
+
 
 @dataclass
 class Guarded:
@@ -53,6 +61,10 @@ class Guarded:
     folder: Path
     statuses: dict[str, int]
     ears: Ears
+    before: dict[str, int]
+    """How much the spy had heard when it was let hear what it may."""
+    control: list[bytes]
+    """What it heard of that."""
     wrong: dict[str, tuple[int, str]]
 
 
@@ -89,7 +101,7 @@ def run_guarded(cwd: Path, protocol: str, *, router: bool) -> Guarded:
         for name, stranger in strangers.items():
             wrong[name] = stranger.end(), stranger.errors.read_text()
         spy = stack.enter_context(open_client(endpoint, store.credential("a1")))
-        ears.listen(spy, "**", "palanquin/**", KEYS.arm("a2").state, KEYS.leader.state, f"{KEYS.root}/truth/**")
+        ears.listen(spy, *FOREIGN, *EVERYTHING)
         ear = stack.enter_context(open_client(endpoint, store.credential("a1")))
         ears.listen(ear, KEYS.arm("a1").state)
         observer = stack.enter_context(open_client(endpoint, store.credential("observer")))
@@ -98,8 +110,12 @@ def run_guarded(cwd: Path, protocol: str, *, router: bool) -> Guarded:
         scenario = load_scenario("transport").scenario
         lead = ("--run", RUN, "--connect", endpoint, "--credential", "team/leader")
         team["leader"] = start("leader", "leader", *lead, *leader_arguments(scenario))
+        sim.wait_until(lambda: len(ears.heard[KEYS.arm("a1").state]) >= 300, "a third of the run")
+        before = ears.counts(*FOREIGN, *EVERYTHING)
+        control: list[bytes] = []
+        spy.subscribe(KEYS.arm("a1").state, control.append)
         statuses = {"sim": sim.end(), **{name: agent.end() for name, agent in team.items()}}
-    return Guarded(folder, statuses, ears, wrong)
+    return Guarded(folder, statuses, ears, before, control, wrong)
 
 
 @pytest.fixture(
@@ -120,12 +136,15 @@ def test_a_run_behind_credentials_completes_with_a_verdict(guarded: Guarded) -> 
 
 
 def test_who_listens_with_the_credential_of_an_arm_hears_that_arm_and_nobody_else(guarded: Guarded) -> None:
-    own, progress = KEYS.arm("a1").state, KEYS.progress
-    counts = {key: len(heard) for key, heard in guarded.ears.heard.items()}
-    assert counts.pop(own) > 900
-    assert counts.pop(progress) > 0  # the observer, who may
-    assert set(counts.values()) == {0}, counts
-    assert len(counts) == 5
+    heard, own = guarded.ears.heard, KEYS.arm("a1").state
+    assert len(heard[own]) > 900
+    assert len(heard[KEYS.progress]) > 0  # the observer, who may
+    assert guarded.before == dict.fromkeys([*FOREIGN, *EVERYTHING], 0)
+    # Then the spy's session asked for the state of its own arm: it works, and to the end it got that and nothing else.
+    assert guarded.control
+    assert guarded.ears.counts(*FOREIGN) == dict.fromkeys(FOREIGN, 0)
+    assert {payload for key in EVERYTHING for payload in heard[key]} <= set(heard[own])
+    assert set(heard) == {own, KEYS.progress, *FOREIGN, *EVERYTHING}
 
 
 def test_the_credential_of_another_arm_is_one_clear_sentence_and_status_2(guarded: Guarded) -> None:
@@ -135,23 +154,48 @@ def test_the_credential_of_another_arm_is_one_clear_sentence_and_status_2(guarde
     assert status == 2
 
 
-def test_the_trace_is_the_same_bytes_whatever_lies_between(tmp_path: Path, guarded: Guarded) -> None:
-    """Access rules, TLS and a router cost time and nothing else."""
-    with launched("transport", tmp_path, {**TEAM, "duration_s": 1.0}) as run:
+@pytest.fixture(scope="module")
+def launched_trace(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The same run, launched on one machine."""
+    with launched("transport", tmp_path_factory.mktemp("launched"), {**TEAM, "duration_s": 1.0}) as run:
         run.command.end()
-    assert (run.folder / "trace.parquet").read_bytes() == (guarded.folder / "trace.parquet").read_bytes()
+    return (run.folder / "trace.parquet").read_bytes()
+
+
+def test_the_trace_is_the_same_bytes_whatever_lies_between(launched_trace: bytes, guarded: Guarded) -> None:
+    """Access rules, TLS and a router cost time and nothing else."""
+    assert (guarded.folder / "trace.parquet").read_bytes() == launched_trace
 
 
 # A launched run
 
 
-def test_a_launched_run_hides_its_passwords_and_lets_nobody_in(tmp_path: Path) -> None:
+MARKER = "a-password-that-can-be-found"
+MARKED = f"""
+import sys
+if "run" in sys.orig_argv:
+    from wire import credentials
+    credentials.new_password = lambda: "{MARKER}"
+"""
+
+
+def test_a_launched_run_hides_its_passwords_and_lets_nobody_in(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No file, no argument and no environment has them; without one, nothing opens."""
+    elsewhere = tmp_path_factory.mktemp("site")
+    (elsewhere / "sitecustomize.py").write_text(MARKED)
+    monkeypatch.setenv("PYTHONPATH", str(elsewhere))
     with launched("transport", tmp_path, {**TEAM, "duration_s": 6.0}) as run:
         run.wait_until_carrying(0.1)
         endpoint = f"tcp/127.0.0.1:{run.port}"
+        open_client(endpoint, Credential(principal("a1"), MARKER)).close()  # it is the password
         ended = run_to_end("follower", "--arm", "a1", "--run", "carry", "--connect", endpoint, cwd=tmp_path)
+        assert set(run.children) == {"sim", "a1", "a2", "leader"}
         seen = [(child.cmdline(), child.environ(), child.open_files()) for child in run.children.values()]
+        rooms = {Path(child.cwd()) for name, child in run.children.items() if name != "sim"}
+        assert len(rooms) == 3
+        written = b"".join(path.read_bytes() for room in rooms for path in room.rglob("*") if path.is_file())
     (line,) = ended.stderr.splitlines()
     assert "asks for a credential" in line
     assert ended.returncode == 2
@@ -159,8 +203,10 @@ def test_a_launched_run_hides_its_passwords_and_lets_nobody_in(tmp_path: Path) -
         assert [each for each in arguments if "password" in each] == []
         assert [name for name in environment if "PALANQUIN" in name or "PASSWORD" in name] == []
         assert [file.path for file in files if "credential" in file.path or "guests" in file.path] == []
-    written = b"".join(path.read_bytes() for path in tmp_path.rglob("*") if path.is_file())
+        assert [text for text in (*arguments, *environment.values()) if MARKER in text] == []
+    written += b"".join(path.read_bytes() for path in tmp_path.rglob("*") if path.is_file())
     assert b"password" not in written
+    assert MARKER.encode() not in written
 
 
 # A simulator by hand

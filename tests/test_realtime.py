@@ -7,9 +7,9 @@ import queue
 from collections.abc import Callable
 
 import pytest
+from bench import LEADER_EVERY, LOST_AFTER, PERIOD_NS, Behaviour, Bench, MemoryAgent, obedient, silent
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_lockstep_in_memory import LEADER_EVERY, LOST_AFTER, PERIOD_NS, Behaviour, Bench, MemoryAgent, obedient, silent
 
 from sim_server.realtime import FIRST_ANSWER_NS, MOST_BEHIND, RealTime
 from sim_server.reception import LEADER, Arrived

@@ -16,7 +16,7 @@ from processes import launched, read_events, read_json, run_to_end
 
 from sim_server.trace import read_trace
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(180)]
 
 PERIOD_MS = 4
 LOST_AFTER = 20

@@ -60,10 +60,19 @@ def test_a_result_that_depends_on_nothing_stays_a_number() -> None:
     np.testing.assert_array_equal(traced.outputs[1], [7.0, 8.0])
 
 
-def test_what_symbols_cannot_do_is_an_error_and_not_a_wrong_number() -> None:
-    for function in (lambda a: (np.sin(a),), lambda a: (np.where(a > 0, a, -a),), lambda a: (np.linalg.inv(a),)):
-        with pytest.raises((TypeError, ValueError, np.linalg.LinAlgError)):
-            Traced(function, {"a": (2, 2)})
+def test_a_function_of_numpy_that_symbols_do_not_have_is_an_error_and_not_a_wrong_number() -> None:
+    with pytest.raises(TypeError, match="no callable sin method"):
+        Traced(lambda a: (np.sin(a),), {"a": (2, 2)})
+
+
+def test_a_choice_by_a_symbols_value_is_an_error_and_not_a_wrong_number() -> None:
+    with pytest.raises(TypeError, match="not supported between instances of 'Symbol' and 'int'"):
+        Traced(lambda a: (np.where(a > 0, a, -a),), {"a": (2, 2)})
+
+
+def test_linear_algebra_of_symbols_is_an_error_and_not_a_wrong_number() -> None:
+    with pytest.raises(TypeError, match="Cannot cast ufunc 'inv'"):
+        Traced(lambda a: (np.linalg.inv(a),), {"a": (2, 2)})
 
 
 GAINS: list[dict[str, Any]] = [

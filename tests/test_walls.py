@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -32,7 +33,8 @@ class Tried:
     """What a hostile follower got, and what became of its victim."""
 
     results: dict[str, str]
-    victim_lives: bool
+    victim: int | None
+    """How the victim ended; None: it lives."""
     said: str
 
 
@@ -49,7 +51,7 @@ def try_everything(tmp_path: Path, *walls: str) -> Tried:
         unix = stack.enter_context(socket.socket(socket.AF_UNIX))
         unix.bind("\0" + abstract)
         unix.listen()
-        victim = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], env={"SECRET": SECRET})
+        victim = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"], env={"SECRET": SECRET})
         stack.callback(victim.wait, 10)
         stack.callback(victim.kill)
         stack.enter_context(open_server(endpoint))  # nobody answers there, but the door is open
@@ -73,7 +75,8 @@ def try_everything(tmp_path: Path, *walls: str) -> Tried:
             check=False,
         )
         assert ended.returncode == 0, ended.stderr
-        return Tried(json.loads((own / "tried.json").read_text()), victim.poll() is None, ended.stdout)
+        victim_ended = victim.poll() if walls else victim.wait(10)
+        return Tried(json.loads((own / "tried.json").read_text()), victim_ended, ended.stdout)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +93,7 @@ def outside(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tried]:
 @needs_landlock
 def test_inside_the_walls_every_attempt_is_denied(inside: Tried) -> None:
     assert {name: got for name, got in inside.results.items() if not got.startswith("denied")} == {}
-    assert inside.victim_lives
+    assert inside.victim is None
     assert "walls: landlock abi" in inside.said
 
 
@@ -99,7 +102,7 @@ def test_without_walls_the_same_attempts_succeed(outside: Tried) -> None:
     """Else the test above could not fail. What a careful kernel denies to everybody but root is left out."""
     only_root = {"attach as a debugger", "read another's memory"} if os.getuid() else set()
     assert {name for name, got in outside.results.items() if got != "done"} <= only_root
-    assert not outside.victim_lives
+    assert outside.victim == -signal.SIGTERM
     assert "walls" not in outside.said
 
 
@@ -131,6 +134,12 @@ def test_a_launched_follower_has_a_folder_of_its_own_that_goes_with_it(curious: 
     for arm, each in curious.items():
         assert each["inside"] == []
         assert arm not in str(each["cwd"])
+
+
+def test_a_launched_follower_has_its_own_engine_loaded_and_not_the_simulators(
+    curious: dict[str, dict[str, object]],
+) -> None:
+    assert [each["engines"] for each in curious.values()] == [["pinocchio"]] * 2
 
 
 def test_a_launched_follower_inherits_no_secret(curious: dict[str, dict[str, object]]) -> None:

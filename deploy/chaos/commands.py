@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,8 +33,9 @@ def intruder(
     from deploy.chaos.comparison import compare
     from deploy.chaos.comparison_report import print_and_write, status
     from deploy.report import PatientConsole
+    from sim_server.server import default_folder
 
-    folder = (out or Path("runs") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}_intruder").absolute()
+    folder = (out or default_folder(Path("runs"), "intruder")).absolute()
     console = PatientConsole()
     comparison = compare(folder, console.print, arms=arms, tls=tls, only_protected=only_protected)
     print_and_write(console, comparison, folder)
@@ -62,7 +62,7 @@ def attack(
     """
     from deploy.chaos.intruder import ATTEMPTS, try_all
     from deploy.chaos.target import Target
-    from deploy.walls import SAYS, raise_walls
+    from deploy.walls import shut_in
     from wire.endpoints import parse_endpoint
     from wire.keys import Keys
 
@@ -71,7 +71,7 @@ def attack(
     proof = _overlay(overlay) if overlay else {}
     parse_endpoint(connect)
     if walls:
-        print(SAYS + raise_walls(parse_endpoint(connect).port, Path.cwd()), file=sys.stderr)
+        print(shut_in(connect), file=sys.stderr)
     target = Target(connect, run, arm, tuple(other), proof, tuple(private or ()), tuple(pid or ()))
     for row in try_all(target, ATTEMPTS):
         print(json.dumps({"name": row.name, "way": row.way, **asdict(row.got)}), flush=True)

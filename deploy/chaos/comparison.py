@@ -56,7 +56,7 @@ def compare(folder: Path, say: Callable[[str], None], *, arms: int, tls: bool, o
         same = None
         if not only_protected:
             say(f"the same without an intruder: {ticks} ticks")
-            _in_peace(folder / "alone", arms, tls, store, ticks / 1000)
+            _in_peace(folder / "alone", arms, tls, store, load_scenario(SCENARIO).scenario.seconds(ticks))
             same = (folder / "here" / TRACE).read_bytes() == (folder / "alone" / TRACE).read_bytes()
     audit = str(read_audit(folder / "here")["verdict"])
     return Comparison(protection, arms, here, opened, same, ticks, audit, _bounds(folder / "here"))

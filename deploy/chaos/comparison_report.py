@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from deploy.chaos.comparison import Comparison
 from deploy.chaos.intruder import Row
+from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT
+from deploy.report import plain_table
 from sim_server.run_folder import write_json
 
 REPORT = "report.json"
 TABLE = "report.md"
 
 
-def is_closed(comparison: Comparison) -> bool:
-    """Whether every attempt was made, was closed here, and changed nothing in the trace."""
-    made = all(row.got.tested for row in (*comparison.here, *comparison.open))
-    undisturbed = comparison.same_trace is not False and "violated" not in comparison.expect
-    return made and undisturbed and all(row.got.is_open is False for row in comparison.here)
-
-
 def status(comparison: Comparison) -> int:
     """0: all closed; 3: the intruder's own session failed in some attempt, so nobody knows; 1: something is open."""
-    if is_closed(comparison):
-        return 0
-    untested = any(not row.got.tested for row in (*comparison.here, *comparison.open))
-    disturbed = comparison.same_trace is False or "violated" in comparison.expect
-    found = disturbed or any(row.got.tested and row.got.is_open is not False for row in comparison.here)
-    return 3 if untested and not found else 1
+    disturbed = comparison.same_trace is False or "violated" in comparison.expect or comparison.audit == "violated"
+    if disturbed or any(row.got.tested and row.got.is_open is not False for row in comparison.here):
+        return OF_VERDICT["violated"]
+    return COULD_NOT_RUN if _untested(comparison) else OF_VERDICT["holds"]
+
+
+def is_closed(comparison: Comparison) -> bool:
+    """Whether every attempt was made, was closed here, and changed nothing."""
+    return status(comparison) == OF_VERDICT["holds"]
+
+
+def _untested(comparison: Comparison) -> list[str]:
+    """Names of the attempts that were not made, on either system."""
+    names = (row.name for row in (*comparison.here, *comparison.open) if not row.got.tested)
+    return list(dict.fromkeys(names))
 
 
 def print_and_write(console: Console, comparison: Comparison, folder: Path) -> None:
@@ -40,7 +42,7 @@ def print_and_write(console: Console, comparison: Comparison, folder: Path) -> N
     opened = {row.name: row for row in comparison.open}
     rows = [(row.name, _said(opened.get(row.name)), _said(row)) for row in comparison.here]
     columns = ("what was tried", "open system (measured)", f"here, {comparison.protection} (measured)")
-    table = Table(*columns, box=None, pad_edge=False, header_style="bold")
+    table = plain_table(*columns)
     for row in rows:
         table.add_row(*map(escape, row))
     console.print(table)
@@ -49,7 +51,7 @@ def print_and_write(console: Console, comparison: Comparison, folder: Path) -> N
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"report: {folder / TABLE}", soft_wrap=True, highlight=False)
     content = {**asdict(comparison), "closed": is_closed(comparison), "summary": summary}
-    write_json(folder / REPORT, json.loads(json.dumps(content)))
+    write_json(folder / REPORT, content)
     lines = ["| " + " | ".join(columns) + " |", "|---|---|---|"]
     lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
     text = "\n".join(["# The intruder", "", *(f"- {line}" for line in summary), "", *lines])
@@ -70,9 +72,8 @@ def _summary(comparison: Comparison) -> list[str]:
     lines = [
         f"{closed} of {len(comparison.here)} attempts closed here ({comparison.arms} arms, {comparison.ticks} ticks)"
     ]
-    untested = [row.name for row in (*comparison.here, *comparison.open) if not row.got.tested]
-    if untested:
-        lines.append(f"not tested, the intruder's own session did not work: {', '.join(dict.fromkeys(untested))}")
+    if untested := _untested(comparison):
+        lines.append(f"not tested, the intruder's own session did not work: {', '.join(untested)}")
     if comparison.open:
         opened = sum(row.got.is_open is True for row in comparison.open)
         effect = sum(row.got.is_open is True and not row.got.only_heard for row in comparison.open)

@@ -7,13 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from deploy.chaos.attempts import Got
+from deploy.chaos.attempt import Got
 from deploy.chaos.intruder import Row
 from sim_server.run_folder import LOGS, read_audit, read_run
+from wire.errors import Reason
 from wire.keys import Keys
 
 FALSE_STATE = "refused a message of the simulator"
 """What a follower logs when something reaches its state key that does not fit (agents/session.py)."""
+NOT_COUNTED = (Reason.LENGTH,)
+"""Zenoh itself drops what is too long for a key with a limit, so the simulator need not have refused any."""
 
 
 def settle(rows: list[Row], folder: Path, target_run: str, own: str) -> list[Row]:
@@ -34,7 +37,7 @@ def _settled(
     if got.is_open is not None or not got.tested:
         return got
     if got.edge:
-        calm = all(agent["phase"] == "ticking" and agent["missed_ticks"] == 0 for agent in agents.values())
+        calm = all(map(_unharmed, agents.values()))
         said = f"{got.evidence}; {surplus[got.edge]} arrived"
         return replace(got, is_open=surplus[got.edge] > 0, evidence=said, only_heard=calm)
     if got.log:
@@ -43,9 +46,14 @@ def _settled(
         return replace(got, is_open=arrived, evidence=f"{got.evidence}; {'it arrived' if arrived else 'none arrived'}")
     agent = agents[own]
     refused = min(agent["refused"].get(got.refused, 0), got.sent)
-    unharmed = agent["phase"] == "ticking" and agent["missed_ticks"] == 0
-    harm = "its own arm went on" if unharmed else f"its own arm is {agent['phase']}"
-    return replace(got, is_open=not unharmed, evidence=f"{got.evidence}; {refused} refused as {got.refused}, {harm}")
+    in_silence = refused == 0 and got.refused not in NOT_COUNTED  # taken, or lost: nobody can say that it was refused
+    harm = "its own arm went on" if _unharmed(agent) else f"its own arm is {agent['phase']}"
+    said = f"{got.evidence}; {refused} refused as {got.refused}, {harm}"
+    return replace(got, is_open=in_silence or not _unharmed(agent), evidence=said)
+
+
+def _unharmed(agent: Mapping[str, Any]) -> bool:
+    return bool(agent["phase"] == "ticking" and agent["missed_ticks"] == 0)
 
 
 def _surplus(

@@ -1,17 +1,26 @@
-"""The intruder: hostile code with the valid credential of one arm tries every row, and says what it got."""
+"""The intruder: hostile code with the valid credential of one arm tries every row, and says what it got.
+
+The same rows are run against an open simulator, so that "what an open system gives" is measured and not asserted. Some
+effects are seen elsewhere: at the simulator's edge (counts of a key in ``audit.json``), or in another follower's log.
+Such an attempt names the place, and deploy/chaos/evidence.py looks there after the run.
+"""
 
 from __future__ import annotations
 
-import os
-import socket
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import zenoh
 
-from deploy.chaos.attempts import ON_THE_WIRE, Attempt, Got
+from deploy.chaos.attempt import Attempt, Got
+from deploy.chaos.host import ON_THE_HOST
+from deploy.chaos.listening import LISTENING
+from deploy.chaos.speaking import SPEAKING
 from deploy.chaos.target import ControlFailedError, Target
+
+ON_THE_WIRE = (*LISTENING, *SPEAKING)
+ATTEMPTS = (*ON_THE_HOST, *ON_THE_WIRE)
+"""In this order: what could end a run comes last, at the end of ``SPEAKING``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,48 +45,3 @@ def _try(target: Target, act: Callable[[Target], Got]) -> Got:
         return Got(None, str(error), tested=False)
     except (zenoh.ZError, OSError) as error:
         return Got(False, f"refused: {str(error).splitlines()[0][:80]}")
-
-
-def _reads(target: Target) -> Got:
-    read = [path for path in target.private if _works(path.read_bytes)]
-    return Got(bool(read), f"{len(read)} of {len(target.private)} files read")
-
-
-def _each_process(what: str, act: Callable[[int], object]) -> Callable[[Target], Got]:
-    def attempt(target: Target) -> Got:
-        done = [pid for pid in target.pids if _works(lambda pid=pid: act(pid))]  # type: ignore[misc]
-        return Got(bool(done), f"{what} {len(done)} of {len(target.pids)} processes")
-
-    return attempt
-
-
-def _works(act: Callable[[], object]) -> bool:
-    try:
-        act()
-    except OSError:
-        return False
-    return True
-
-
-def _listens(target: Target) -> Got:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return Got(True, f"listens on port {server.getsockname()[1]}")
-
-
-ON_THE_HOST: tuple[Attempt, ...] = (
-    Attempt("read files of others", "host", _reads),
-    Attempt(
-        "read the environment of others",
-        "host",
-        _each_process("read that of", lambda pid: Path(f"/proc/{pid}/environ").read_bytes()),
-    ),
-    Attempt(
-        "read the memory of others",
-        "host",
-        _each_process("opened that of", lambda pid: open(f"/proc/{pid}/mem", "rb").close()),
-    ),
-    Attempt("signal others", "host", _each_process("could signal", lambda pid: os.kill(pid, 0))),
-    Attempt("listen on a port", "host", _listens),
-    Attempt("list processes", "host", lambda target: Got(True, f"{len(os.listdir('/proc'))} entries in /proc")),
-)
-ATTEMPTS = (*ON_THE_HOST, *ON_THE_WIRE)

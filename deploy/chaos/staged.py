@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from deploy.chaos.attempts import Got
+from deploy.chaos.attempt import Got
 from deploy.chaos.evidence import settle
 from deploy.chaos.intruder import Row
 from deploy.credential_store import CA, CA_KEY, CredentialStore
+from deploy.exit_status import COULD_NOT_RUN
 from deploy.launcher import Launcher, child_environment
 from deploy.room import room_environment
-from sim_server.errors import SimError
 from sim_server.run_folder import EVENTS
 from sim_server.scenario import Scenario
 from wire.credentials import CREDENTIAL, for_one_run
@@ -27,8 +30,10 @@ START_S, ATTACK_S, END_S = 60.0, 120.0, 240.0
 Tell = Callable[[str], None]
 
 
-class StageFailed(SimError):
+class StageFailed(Exception):
     """The run that was to be attacked did not come about, or not to its end."""
+
+    exit_status = COULD_NOT_RUN
 
 
 class Staged(Launcher):
@@ -83,6 +88,7 @@ class Staged(Launcher):
         """The intruder's process from start to end; each row as it says it."""
         room, rows = self._rooms.make(), []
         log = self._logs / "intruder.log"
+        deadline = time.monotonic() + ATTACK_S
         with log.open("wb") as errors:
             process = subprocess.Popen(
                 [sys.executable, "-m", "deploy.cli", *arguments],
@@ -90,23 +96,27 @@ class Staged(Launcher):
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=errors,
-                env=child_environment(room_environment(child_environment({}), room, Path.cwd())),
+                start_new_session=True,
+                env=child_environment(room_environment(os.environ, room, Path.cwd())),
                 text=True,
             )
-        deadline = time.monotonic() + ATTACK_S
+        watchdog = threading.Timer(ATTACK_S, process.kill)  # it may fall silent, and then no line ever wakes us
+        watchdog.start()
         try:
             if process.stdin is None or process.stdout is None:
                 raise StageFailed("the intruder has no pipes")
-            process.stdin.write(json.dumps(proof) + "\n")
-            process.stdin.close()
+            with suppress(BrokenPipeError), process.stdin as secret:  # it has ended already, and its log says why
+                secret.write(json.dumps(proof) + "\n")
             for line in process.stdout:
                 rows.append(json.loads(line))
                 tell(f"{len(rows)}: {rows[-1]['name']}")
-                if time.monotonic() > deadline:
-                    raise StageFailed(f"the attack took more than {ATTACK_S:g} s")
-            if process.wait(10.0):
-                raise StageFailed(f"the intruder ended with {process.returncode}; its log is {log}")
+            status = process.wait()
+            if time.monotonic() > deadline:
+                raise StageFailed(f"the attack took more than {ATTACK_S:g} s; its log is {log}")
+            if status:
+                raise StageFailed(f"the intruder ended with {status}; its log is {log}")
         finally:
+            watchdog.cancel()
             process.kill()
             process.wait()
         return rows
