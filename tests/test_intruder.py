@@ -159,16 +159,18 @@ def test_an_attack_that_only_costs_time_leaves_the_trace_as_it_was(attacked: Att
 
 
 def test_the_audit_names_the_intruder(attacked: Attacked) -> None:
+    """It has gone by then. A connection that carried more than any agent's own messages explain is a violation; one
+    that carried less, because the run went on for long, cannot be told from an agent's, and the audit says so."""
     audit = read_json(attacked.folder / "audit.json")
+    reasons = audit["why"]
     if audit["verdict"] == "unknown":
-        assert audit["final_look_came_back"] is False
         not_violated(audit, HUNG, UNKNOWN_CONNECTION)
+        assert [why for why in reasons if why.startswith(UNKNOWN_CONNECTION)], reasons
         return
-    assert audit["verdict"] == "violated", audit["why"]
-    # It has gone by then: what it heard was carried by a connection that no agent's own messages explain.
-    listened = [why for why in audit["why"] if why.startswith("a session that is no agent") and " listened to " in why]
-    carried = [why for why in audit["why"] if why.startswith("a connection from ") and "to any one agent" in why]
-    assert listened or carried, audit["why"]
+    assert audit["verdict"] == "violated", reasons
+    listened = [why for why in reasons if why.startswith("a session that is no agent") and " listened to " in why]
+    carried = [why for why in reasons if why.startswith("a connection from ") and "to any one agent" in why]
+    assert listened or carried, reasons
 
 
 def test_a_credential_is_laid_over_a_session_and_takes_nothing_away() -> None:
