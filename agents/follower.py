@@ -12,12 +12,13 @@ import numpy as np
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
 from agents.controllers.interface import Sensed
+from agents.reach import Reach
 from agents.safety import CheckedEffort, SafeController, hold_effort
 from agents.session import AgentSession, RunEnded, here
 from wire.errors import Reason, Refused
 from wire.keys import Keys
 from wire.link import Link
-from wire.messages import Command, Hello, LeaderView, State
+from wire.messages import Command, Hello, LeaderView, State, Welcome
 
 log = logging.getLogger("palanquin.follower")
 
@@ -47,6 +48,14 @@ class Follower:
         law = make_controller(settings.controller, self.arm, settings.gains)
         self._controller = SafeController(settings.controller, law, self.arm, settings.handover_s)
         self._last: State | None = None
+        self._reach: Reach | None = None
+
+    def begin(self, welcome: Welcome) -> None:
+        """Let in: reach for the strut first, if the hand is empty; then carry."""
+        if welcome.carry_height_m:
+            self._controller.carry_at(welcome.carry_height_m)
+        if any(welcome.strut):
+            self._reach = Reach(self.arm, welcome.strut)
 
     def hello(self) -> Hello:
         """This follower's greeting."""
@@ -69,24 +78,30 @@ class Follower:
         dt_s = period_s if self._last is None else 1e-9 * (state.time_ns - self._last.time_ns)
         self._last = state
         start = time.perf_counter_ns()
-        effort = self._controller.step(
-            Sensed(np.array(state.q), np.array(state.qd), np.array(state.tau), np.array(state.wrench)), dt_s
-        )
-        return self._command(state.tick, lease, effort, time.perf_counter_ns() - start)
+        q, qd, grip_m = np.array(state.q), np.array(state.qd), 0.0
+        if self._reach is not None:
+            effort, grip_m = self._reach.step(q, qd, state.grip_m, state.odometry, dt_s)
+            if self._reach.holds:
+                log.info("arm %s: holds its strut, carries", self.settings.arm)
+                self._reach = None
+        else:
+            effort = self._controller.step(Sensed(q, qd, np.array(state.tau), np.array(state.wrench)), dt_s)
+        return self._command(state.tick, lease, effort, grip_m, time.perf_counter_ns() - start)
 
     def hold(self, lease: int) -> Command | None:
         """The command for when states stop coming; None if there never was one."""
         if self._last is None:
             return None
-        return self._command(self._last.tick, lease, hold_effort(self.arm, np.array(self._last.q)), 0)
+        return self._command(self._last.tick, lease, hold_effort(self.arm, np.array(self._last.q)), 0.0, 0)
 
-    def _command(self, tick: int, lease: int, effort: CheckedEffort, step_ns: int) -> Command:
+    def _command(self, tick: int, lease: int, effort: CheckedEffort, grip_m: float, step_ns: int) -> Command:
         return Command(
             arm=self.settings.arm,
             tick=tick,
             lease=lease,
             torque=effort.torque,
             base_force=effort.base_force,
+            grip_m=grip_m,
             stiffness=effort.stiffness,
             step_ns=step_ns,
         )
@@ -107,6 +122,7 @@ def run_follower(link: Link, settings: FollowerSettings) -> str:
     session = AgentSession(link, keys.arm(settings.arm), keys.sim_alive, follower.hello())
     welcome = session.join(settings.join_timeout_s)
     log.info("arm %s: joined, %s clock, period %d ns", settings.arm, welcome.clock, welcome.control_period_ns)
+    follower.begin(welcome)
     period_s = 1e-9 * welcome.control_period_ns
     in_real_time = welcome.clock == "real-time"
     receive = session.receive_newest if in_real_time else session.receive

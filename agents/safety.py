@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.arm_model import ArmModel
-from agents.controllers.interface import Controller, Sensed
+from agents.controllers.interface import CarriesAt, Controller, Sensed
 from agents.errors import ControllerError
 from wire.arms.limits import arm_limits
 
@@ -67,6 +67,11 @@ class SafeController:
         self._elapsed_s = 0.0
         self._offset: list[float] | None = None
         self._torque_max = arm_limits(arm.name).torque_Nm
+
+    def carry_at(self, height_m: float) -> None:
+        """Tell the law where to carry, if it wants to know."""
+        if isinstance(self._controller, CarriesAt):
+            self._controller.carry_at(height_m)
 
     def step(self, sensed: Sensed, dt_s: float) -> CheckedEffort:
         """The law's effort within the arm's torque limits.

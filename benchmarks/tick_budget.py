@@ -58,7 +58,7 @@ def warm_parts(changes: dict[str, Any]) -> dict[str, float]:
     shapes = {"C": (n, n), "g": (n,), "M_inv": (n, n), "J": (6, n), "Jdot": (6, n), "p_BE": (3,), "R_BE": (3, 3)}
     terms = {name: np.zeros(shape) for name, shape in shapes.items()}
     reading = plant.read()["a1"]
-    state = State("a1", 0, 0, reading.q, reading.qd, reading.tau, reading.wrench)
+    state = State("a1", 0, 0, reading.q, reading.qd, reading.tau, reading.wrench, reading.grip_m, reading.odometry)
     command = follower.answer(state, 1, 1e-3)
     state_bytes, command_bytes = encode(state), encode(command)
     row = plant.state_row()

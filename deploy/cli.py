@@ -71,7 +71,7 @@ def run(
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from agents.arm_model import ArmModel
     from agents.controllers import make_controller
-    from deploy.launcher import Launcher
+    from deploy.launcher import Launcher, everybody
     from deploy.report import PatientConsole, progress_display
     from sim_server.scenario_files import load_scenario
     from sim_server.server import check_world, default_folder
@@ -92,7 +92,7 @@ def run(
     console = PatientConsole()
     endpoint = free_endpoint()
     # The run's name is told to the followers; a scenario's name may say what no follower may know.
-    guests = for_one_run([*named.scenario.arms, Role.LEADER, Role.OPERATOR])
+    guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR])
     launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests)
     problem = ""
     try:

@@ -20,7 +20,7 @@ from pathlib import Path
 from deploy.deeds import Doer
 from deploy.room import Rooms, room_environment
 from sim_server.run_folder import LOGS, claim_logs
-from sim_server.scenario import Scenario
+from sim_server.scenario import Scenario, arm_number
 from wire.access import Role
 from wire.codec import decode, encode
 from wire.credentials import STDIN, Guests, credential_line, guests_line
@@ -34,6 +34,9 @@ STOP_S = 15.0
 """Time that the simulator gets to end a run and write its folder."""
 TERM_S = 3.0
 """Time that a process gets between the polite signal and the last one."""
+
+SPARE_NAMES = 16
+"""Robots that may come in a run without being foreseen."""
 
 Show = Callable[[Progress], None]
 
@@ -100,11 +103,14 @@ class Launcher:
         access, secret = self._sim_access()
         self._spawn("sim", ["sim", *common, *place, *access, *self._scenario_arguments], secret)
         self.wait_until_listening()
-        agents = {arm: ["follower", "--arm", arm, *follower_arguments(self._scenario)] for arm in self._scenario.arms}
+        follower = follower_arguments(self._scenario)
+        agents = {name: ["follower", "--arm", name, *follower] for name in everybody(self._scenario)}
         if self._scenario.leader is not None:
             agents[Role.LEADER] = ["leader", *leader_arguments(self._scenario)]
         for name, arguments in agents.items():
             self._agents[str(name)] = [*arguments, *common, "--connect", self._endpoint]
+            if name not in self._scenario.arms and name != Role.LEADER:
+                continue  # it comes later
             self._start_agent(str(name))
 
     def _start_agent(self, name: str) -> None:
@@ -194,7 +200,7 @@ class Launcher:
         deadline = time.monotonic() + STOP_S
         while self.sim.process.poll() is None and time.monotonic() < deadline:
             if order.matched():
-                order.put(encode(Order("stop")))
+                order.put(encode(Order("stop", 0)))
             time.sleep(2 * POLL_S)
 
     def end_all(self) -> None:
@@ -213,6 +219,13 @@ class Launcher:
                 with suppress(BrokenPipeError):
                     child.process.stdin.close()
         self._rooms.clear()
+
+
+def everybody(scenario: Scenario) -> list[str]:
+    """Names of all arms that may take part: the team, those who come by its events, and some that nobody foresaw."""
+    known = [*scenario.arms, *scenario.joining]
+    last = max(arm_number(name) + 1 for name in known)
+    return [*known, *(f"a{last + k}" for k in range(1, SPARE_NAMES + 1))]
 
 
 def follower_arguments(scenario: Scenario) -> list[str]:

@@ -64,23 +64,29 @@ class Auditor:
         names_proven: bool = False,
     ) -> None:
         self._link, self._names_proven = link, names_proven
-        self._agents = tuple(agents)
-        self._owner = {
-            key: name for name, its in agents.items() for key in (its.state, its.command, its.hello, its.alive)
-        }
-        self._names = {key: name for name, its in agents.items() for key in (its.command, its.alive)}
-        self._keys = (*self._owner, keys.progress, keys.order)
+        self._agents: list[str] = []
+        self._owner: dict[str, str] = {}
+        self._names: dict[str, str] = {}
+        self._others = (keys.progress, keys.order)
+        for name, its in agents.items():
+            self.expect(name, its)
         self.connections = connections
         self.sessions: dict[str, SessionSeen] = {}
         self.has_looked = self.hangs = False
         self._doubts: set[str] = set()
+
+    def expect(self, name: str, its: ArmKeys) -> None:
+        """One more agent, with its keys."""
+        self._agents.append(name)
+        self._owner |= dict.fromkeys((its.state, its.command, its.hello, its.alive), name)
+        self._names |= dict.fromkeys((its.command, its.alive), name)
 
     def look(self, timeout_s: float = LOOK_S) -> None:
         """The final look. If it does not come back, the link ``hangs``, and nothing may be asked of it any more."""
         came: list[Census | None] = []
 
         def ask() -> None:
-            came.append(self._link.census(self._keys))
+            came.append(self._link.census((*self._owner, *self._others)))
 
         thread = threading.Thread(target=ask, name="final look", daemon=True)
         thread.start()

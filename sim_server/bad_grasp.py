@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from sim_server.scenario import arm_number
 from sim_server.world import World
 
 SOFT_SOLREF, SOFT_SOLIMP = (0.05, 1.0), (0.5, 0.8, 0.005, 0.5, 2.0)
@@ -27,10 +28,14 @@ class BadGrasp:
 
     def __init__(self, world: World, arm: str, force_N: float) -> None:
         self._world, self._ids = world, world.arms[arm]
-        self._rng = np.random.default_rng([world.scenario.seed, STREAM, list(world.arms).index(arm)])
+        self._rng = np.random.default_rng([world.scenario.seed, STREAM, arm_number(arm)])
         self._sigma, self._force = force_N, np.zeros(3)
         world.model.eq_solref[self._ids.weld] = SOFT_SOLREF
         world.model.eq_solimp[self._ids.weld] = SOFT_SOLIMP
+
+    def move_to(self, world: World) -> None:
+        """The world has other robots now; this hand goes on holding badly."""
+        self._world, self._ids = world, world.arms[self._ids.name]
 
     def push(self, dt_s: float) -> None:
         """Add this step's spurious force to the load at the grasp, and its opposite to the hand.

@@ -12,9 +12,11 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from sim_server.errors import SimError
+from sim_server.grasping import Closing
 from sim_server.lockstep import Ticker
+from sim_server.newcomers import CannotCome
 from sim_server.reception import Reception, Report
-from sim_server.scenario_events import FailGrasp, ProcessEvent, in_order
+from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Verb, in_order
 from wire.codec import encode
 from wire.lifecycle import Phase
 from wire.link import Publisher
@@ -26,6 +28,10 @@ NOBODY_S = 3.0
 """Wall time in which the launcher must be listening: it is there before the first tick."""
 
 
+LEAD_S = 2.5
+"""Simulated time before a newcomer's tick at which its world is begun and its agent started."""
+
+
 class Undone(SimError):
     """A deed that the scenario wants was not done, so what comes after would not be the scenario's run."""
 
@@ -33,10 +39,33 @@ class Undone(SimError):
 
 
 class Hands(Protocol):
-    """What the events need of the plant."""
+    """What has become of the plant's hands since it was last looked at."""
 
     opened: list[str]
-    """Arms whose hands have opened since this was last looked at."""
+    grasped: list[Closing]
+
+
+class Arrivals(Protocol):
+    """Who comes: see :class:`sim_server.newcomers.Newcomers`."""
+
+    def advance(self) -> None: ...
+
+    def check(self, strut: int) -> None: ...
+
+    def next_name(self) -> str: ...
+
+    def prepare(self, arm: str, strut: int) -> None: ...
+
+    def is_ready(self, arm: str) -> bool: ...
+
+    def arrive(self, arm: str) -> float: ...
+
+
+class Plant(Protocol):
+    """What the events need of the plant."""
+
+    @property
+    def hands(self) -> Hands: ...
 
     def loosen(self, arm: str, force_N: float) -> None: ...
 
@@ -51,22 +80,29 @@ class Happenings:
         period_ms: of a tick.
         publisher: to the launcher.
         start_s: wall time that a started agent has to be in.
+        newcomers: those who come.
+        waits: whether the clock stands until a newcomer is there (lock-step), or it comes when it is ready.
     """
 
     def __init__(
         self,
-        events: Sequence[ProcessEvent | FailGrasp],
+        events: Sequence[AnyEvent],
         reception: Reception,
         clock: Ticker,
-        hands: Hands,
+        plant: Plant,
         publisher: Publisher,
         report: Report,
         *,
         period_ms: int,
         start_s: float,
+        newcomers: Arrivals,
+        waits: bool,
     ) -> None:
+        self._newcomers, self._waits = newcomers, waits
+        self._prepared: dict[str, int] = {}
+        """Newcomers that are prepared for, each with the number of its deed, or 0."""
         self._due = in_order(events, period_ms)
-        self._reception, self._clock, self._hands = reception, clock, hands
+        self._reception, self._clock, self._plant = reception, clock, plant
         self._publisher, self._report = publisher, report
         self._period_ms, self._start_s = period_ms, start_s
         self._slips: list[tuple[int, str]] = []
@@ -74,22 +110,80 @@ class Happenings:
 
     def before(self, tick: int) -> None:
         """Do what is due before this tick. Raises :class:`Undone`, and :class:`sim_server.lockstep.Stopped`."""
-        while self._hands.opened:
-            self._report("hand_opened", agent=self._hands.opened.pop(0))
+        hands = self._plant.hands
+        while hands.opened:
+            self._report("hand_opened", agent=hands.opened.pop(0))
+        while hands.grasped:
+            closed = hands.grasped.pop(0)
+            self._report("grasped", agent=closed.arm, closed_at_tick=closed.tick, force_max_N=closed.force_max_N)
+        self._take_orders(tick)
+        self._prepare(tick)
+        self._newcomers.advance()
         while self._slips and self._slips[0][0] <= tick:
             _, arm = self._slips.pop(0)
-            self._hands.slip(arm)
+            self._plant.slip(arm)
             self._report("seen", event="fail_grasp", agent=arm, effect="the hand has slipped off")
         while self._due and self._due[0][0] <= tick:
             _, event = self._due.pop(0)
-            if isinstance(event, FailGrasp):
+            if isinstance(event, Join):
+                self._let_come(tick, event)
+            elif isinstance(event, FailGrasp):
                 self._report("ordered", event=event.kind, agent=event.arm)
-                self._hands.loosen(event.arm, event.force_N)
+                self._plant.loosen(event.arm, event.force_N)
                 self._slips = sorted([*self._slips, (tick + round(event.for_s * 1000 / self._period_ms), event.arm)])
                 self._report("seen", event=event.kind, agent=event.arm, effect="the hand holds badly")
             else:
                 self._report("ordered", event=event.kind, agent=event.agent)
                 self._report("seen", event=event.kind, agent=event.agent, effect=self._do(event))
+
+    def _take_orders(self, tick: int) -> None:
+        """Robots that the operator wants and nobody foresaw."""
+        while self._clock.wanted:
+            strut = self._clock.wanted.pop(0)
+            try:
+                self._newcomers.check(strut - 1)
+            except CannotCome as error:
+                self._report("refused_order", event="join", strut=strut, text=str(error))
+                continue
+            due = tick + self._lead_ticks
+            arm = self._newcomers.next_name()
+            event = Join(at_s=due * self._period_ms / 1000, kind="join", arm=arm, strut=strut)
+            self._report("wanted", event="join", agent=arm, strut=strut, at_s=event.at_s)
+            self._due = sorted([*self._due, (due, event)], key=lambda each: each[0])
+
+    @property
+    def _lead_ticks(self) -> int:
+        return round(LEAD_S * 1000 / self._period_ms)
+
+    def _prepare(self, tick: int) -> None:
+        """Build the worlds and start the agents of those who come soon; nobody waits for that."""
+        for due, event in self._due:
+            if due > tick + self._lead_ticks:
+                return
+            if isinstance(event, Join) and event.arm not in self._prepared:
+                self._newcomers.prepare(event.arm, event.strut - 1)
+                self._prepared[event.arm] = self._order(event.arm, "start") if self._publisher.matched() else 0
+
+    def _let_come(self, tick: int, event: Join) -> None:
+        """The robot is there from now on. Raises :class:`Undone`."""
+        if not self._waits and not self._newcomers.is_ready(event.arm):
+            self._due = [(tick + 1, event), *self._due]
+            return
+        self._report("ordered", event=event.kind, agent=event.arm, strut=event.strut)
+        number = self._prepared[event.arm]
+        if number:
+            self._wait(lambda: number in self._clock.done, event, "the launcher has not reported it", self._start_s)
+            if self._clock.done[number]:
+                raise Undone(_sentence(event, self._clock.done[number]))
+        try:
+            pause_s = self._newcomers.arrive(event.arm)
+        except CannotCome as error:
+            raise Undone(_sentence(event, str(error))) from None
+        agent = self._reception.agents[event.arm]
+        if self._waits:
+            self._wait(lambda: agent.is_in and agent.alive, event, "it has not joined", self._start_s)
+        effect = f"it stands outside, by strut {event.strut}"
+        self._report("seen", event=event.kind, agent=event.arm, effect=effect, pause_ms=1e3 * pause_s)
 
     def _do(self, event: ProcessEvent) -> str:
         """Have it done; what was seen of it."""
@@ -124,14 +218,19 @@ class Happenings:
             "without such events",
             NOBODY_S,
         )
-        number = self._number = self._number + 1
-        self._publisher.put(encode(Deed(number, event.kind, event.agent)))
+        number = self._order(event.agent, event.kind)
         done = self._clock.done
         self._wait(lambda: number in done, event, "the launcher has not reported it", seconds)
         if done[number]:
             raise Undone(_sentence(event, done[number]))
 
-    def _wait(self, seen: Callable[[], bool], event: ProcessEvent, else_: str, seconds: float) -> None:
+    def _order(self, agent: str, verb: Verb) -> int:
+        """Ask the launcher for a deed; its number."""
+        self._number += 1
+        self._publisher.put(encode(Deed(self._number, verb, agent)))
+        return self._number
+
+    def _wait(self, seen: Callable[[], bool], event: ProcessEvent | Join, else_: str, seconds: float) -> None:
         """Take in what comes until the deed is seen."""
         deadline = time.monotonic() + seconds
         while not seen():
@@ -143,5 +242,6 @@ class Happenings:
                 self._clock.admit()
 
 
-def _sentence(event: ProcessEvent, problem: str) -> str:
-    return f"event {event.kind!r} of {event.agent} at {event.at_s:g} s was not done: {problem}"
+def _sentence(event: ProcessEvent | Join, problem: str) -> str:
+    agent = event.arm if isinstance(event, Join) else event.agent
+    return f"event {event.kind!r} of {agent} at {event.at_s:g} s was not done: {problem}"

@@ -69,6 +69,8 @@ class Ticker(ABC):
         self._thawed: set[str] = set()
         self.done: dict[int, str] = {}
         """The launcher's reports: number of the deed, and what was in the way."""
+        self.wanted: list[int] = []
+        """Struts (from 1) that the operator wants a new robot to take; whoever sees to it takes them out."""
         self.timings = Timings()
         self.punctuality = Punctuality()
 
@@ -94,7 +96,8 @@ class Ticker(ABC):
     def admit(self) -> None:
         """Let those in whose links are up; an arm that was lost or left before is driven again."""
         for name in self._reception.match():
-            if name != LEADER and self._reception.agents[name].link.lease > 1:
+            agent = self._reception.agents[name]
+            if name != LEADER and (agent.link.lease > 1 or agent.comes_later):
                 self._plant.regain(name)
 
     def freeze(self, name: str) -> None:
@@ -132,7 +135,17 @@ class Ticker(ABC):
                 )
             else:
                 reading = readings[name]
-                message = State(name, tick, time_ns, reading.q, reading.qd, reading.tau, reading.wrench)
+                message = State(
+                    name,
+                    tick,
+                    time_ns,
+                    reading.q,
+                    reading.qd,
+                    reading.tau,
+                    reading.wrench,
+                    reading.grip_m,
+                    reading.odometry,
+                )
             agent.link.state_sent(tick)
             agent.publisher.put(encode(message))
             if name not in self._frozen and (name in self._thawed or not agent.link.missed_in_row):
@@ -170,7 +183,7 @@ class Ticker(ABC):
             else:
                 command = decode(payload, Command)
                 self._accept(agent, command)
-                self._plant.command(name, command.torque, command.base_force, command.stiffness)
+                self._plant.command(name, command.torque, command.base_force, command.stiffness, command.grip_m)
                 self.timings.controller.append(command.step_ns)
         except Refused as refusal:
             self._reception.refuse(name, refusal)
@@ -197,7 +210,10 @@ class Ticker(ABC):
             self._reception.refuse("", refusal)
             return
         if isinstance(message, Order):
-            raise Stopped
+            if message.verb == "stop":
+                raise Stopped
+            self.wanted.append(message.strut)
+            return
         self.done[message.number] = message.problem
 
     def _miss(self, name: str, agent: Agent) -> None:

@@ -85,8 +85,31 @@ class MotorDrivers:
     def regain(self, arm: int) -> None:
         """Somebody drives the arm again: it obeys commands, starting from the torque applied now."""
         self._unled.pop(arm, None)
+        self._open.discard(arm)
         for command in [self._command, *self._on_the_way]:
             command[arm] = (*self.torque[arm], 0.0, 0.0, 0.0)
+
+    def exchange(self, rows: Sequence[int | None], start_torque: Array) -> None:
+        """From now on these arms: each is an old row, or new with its row of ``start_torque``, (N, n) N m."""
+        old = [row for row in rows if row is not None]
+        new = {row: k for k, row in enumerate(rows) if row is not None}
+        here = np.array(list(new.values()), dtype=np.intp)
+        fresh = np.hstack([start_torque, np.zeros((len(rows), 3))])
+
+        def moved(array: Array) -> Array:
+            there = fresh[:, : array.shape[1]].copy()
+            there[here] = array[old]
+            return there
+
+        joints = start_torque.shape[1]
+        self.torque, self._command, self._target = moved(self.torque), moved(self._command), moved(self._target)
+        self._limited = moved(self._limited)
+        self._on_the_way = deque(moved(command) for command in self._on_the_way)
+        self._limited_torque, self.base_force = self._limited[:, :joints], self._limited[:, joints:]
+        self._ages = [0 if row is None else self._ages[row] for row in rows]
+        self._given = [row is not None and self._given[row] for row in rows]
+        self._unled = {new[row]: behaviour for row, behaviour in self._unled.items() if row in new}
+        self._open = {new[row] for row in self._open if row in new}
 
     def advance(self, dt_s: float, felt: Felt | None = None) -> None:
         """Move the applied torques towards their targets within the limits.

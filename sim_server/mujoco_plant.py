@@ -6,6 +6,7 @@ Motor torques and base forces go into ``qfrc_applied``; the leader's pull into `
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NoReturn
 
@@ -15,9 +16,13 @@ from numpy.typing import NDArray
 
 from sim_server.bad_grasp import BadGrasp
 from sim_server.errors import PlantFailed
+from sim_server.grasping import Grasping
 from sim_server.grips import grip_wrenches
+from sim_server.layout import STRUT_SIDE_M
 from sim_server.motor_drivers import MotorDrivers
+from sim_server.new_world import carry_over, stand_outside
 from sim_server.plant import LoadPose, Numbers, Reading
+from sim_server.scenario import arm_number
 from sim_server.sensor_noise import SensorNoise
 from sim_server.unled_arms import Behaviour, Brake, Felt, LetDown, Limp, Release
 from sim_server.world import ArmIds, World
@@ -26,6 +31,8 @@ from wire.messages import Vector
 
 Array = NDArray[np.float64]
 
+NOWHERE: Vector = (0.0,) * 6
+
 LOST_ARMS: Mapping[str, Callable[[], Behaviour]] = {"limp": Limp, "brake": Brake, "release": Release}
 """What a lost arm does, by the scenario's word for it."""
 
@@ -33,29 +40,18 @@ LOST_ARMS: Mapping[str, Callable[[], Behaviour]] = {"limp": Limp, "brake": Brake
 class MujocoPlant:
     """A scenario's world, driven tick by tick. Implements :class:`sim_server.plant.Plant`.
 
-    The arms start at rest with the torque that carries them and an equal share of the load's weight, as if their
-    brakes had just been opened.
+    The arms start at rest with the torque that carries them and their share of the load's weight, as if their brakes
+    had just been opened.
     """
 
     def __init__(self, world: World) -> None:
-        self.world = world
-        self._model, self._data = world.model, world.data
         scenario = world.scenario
         self._substeps = scenario.clock.control_period_ms // scenario.plant.physics_step_ms
         self._dt_s = scenario.plant.physics_step_ms / 1000
         limits, base, arms = arm_limits(scenario.team.arm), scenario.base, list(world.arms.values())
-        self._row = {name: row for row, name in enumerate(world.arms)}
-        self._names = list(world.arms)
         self._slipping: dict[str, BadGrasp] = {}
-        self.opened: list[str] = []
-        """Arms whose hands have opened; whoever reports it takes them out."""
-        self._arm_dofs = _indices([ids.arm_dof for ids in arms])
-        self._arm_qpos = _indices([ids.arm_qpos for ids in arms])
-        self._base_dofs = _indices([ids.base_dof for ids in arms])
-        self._base_qpos = _indices([ids.base_qpos for ids in arms])
-        self._sensors = np.hstack(
-            [_indices([ids.force_sensor for ids in arms]), _indices([ids.torque_sensor for ids in arms])]
-        )
+        self.hands = Grasping(world)
+        self._bind(world)
         noise = scenario.plant
         sigma = np.repeat(
             [
@@ -69,27 +65,78 @@ class MujocoPlant:
         )
         self._noise = SensorNoise(sigma, scenario.seed, len(arms))
         self._drivers = MotorDrivers(
-            np.array([self._static_torque(ids) for ids in arms]),
+            np.array([self._static_torque(ids, share) for ids, share in zip(arms, fair_shares(world), strict=True)]),
             np.array(limits.torque_Nm),
             limits.torque_rate_Nm_s,
             np.array([base.force_max_N, base.force_max_N, base.torque_max_Nm]),
             noise.delay_ticks,
         )
-        self._stiffness = np.zeros((len(arms), limits.joints))
         self._pull_lever = np.zeros(3)
         """From the load's centre of mass to the pulled point, (3,) m in O."""
         self._pull_force = np.zeros(3)
         self._see(self._data)
+        self._stiffness = np.zeros((len(arms), limits.joints))
         self.tick = 0
         mujoco.set_mju_user_warning(_ignore)
         self._apply_efforts()
         mujoco.mj_forward(self._model, self._data)
 
-    def _static_torque(self, ids: ArmIds) -> Array:
-        """Torque that holds the arm and an equal share of the load's weight at the start, (n,) N m."""
+    def _bind(self, world: World) -> None:
+        """Know where everything of this world is."""
+        self.world = world
+        self._model, self._data = world.model, world.data
+        arms = list(world.arms.values())
+        self._names = list(world.arms)
+        self._row = {name: row for row, name in enumerate(self._names)}
+        self._arm_dofs = _indices([ids.arm_dof for ids in arms])
+        self._arm_qpos = _indices([ids.arm_qpos for ids in arms])
+        self._base_dofs = _indices([ids.base_dof for ids in arms])
+        self._base_qpos = _indices([ids.base_qpos for ids in arms])
+        self._sensors = np.hstack(
+            [_indices([ids.force_sensor for ids in arms]), _indices([ids.torque_sensor for ids in arms])]
+        )
+
+    def move_to(self, world: World) -> None:
+        """Go on in another world, between two ticks: robots that are in both go on as they were, new ones stand outside
+        by their struts, braked, with empty hands."""
+        carry_over(self.world, world)
+        arrived = [name for name in world.arms if name not in self._row]
+        for name in arrived:
+            stand_outside(world, name)
+        rows = [self._row.get(name) for name in world.arms]
+        self._bind(world)
+        mujoco.mj_forward(self._model, self._data)
+        gravity = self._data.qfrc_bias[self._arm_dofs]
+        self._drivers.exchange(rows, gravity)
+        self._noise.exchange(rows, [arm_number(name) for name in self._names])
+        self._stiffness = np.array([np.zeros(len(gravity[0])) if row is None else self._stiffness[row] for row in rows])
+        self._see(self._data)
+        self.hands.move_to(world, arrived)
+        for bad in self._slipping.values():
+            bad.move_to(world)
+        for name in arrived:
+            self._drivers.leave_to(self._row[name], Brake())
+        self._apply_efforts()
+        mujoco.mj_forward(self._model, self._data)
+
+    @property
+    def names(self) -> list[str]:
+        """Arms that are there."""
+        return list(self._names)
+
+    @property
+    def carry_height_m(self) -> float:
+        """How high above the arms' own base frames the hands carry: where they are at the start."""
+        return float(self.world.X_AE.p[2])
+
+    def reach(self, arm: str) -> Vector:
+        """Where the strut of this arm is: see :meth:`Grasping.reach`."""
+        return self.hands.reach(arm)
+
+    def _static_torque(self, ids: ArmIds, share: float) -> Array:
+        """Torque that holds the arm and so much of the load's weight, N, at the start, (n,) N m."""
         J = np.zeros((3, self._model.nv))
         mujoco.mj_jacSite(self._model, self._data, J, None, ids.tcp_site)
-        share = self.world.load_mass * -self._model.opt.gravity[2] / len(self.world.arms)
         torque: Array = self._data.qfrc_bias[ids.arm_dof] + share * J[2, ids.arm_dof]
         return torque
 
@@ -124,15 +171,21 @@ class MujocoPlant:
         everything = np.concatenate([self._qpos, self._qvel, self._drivers.torque.ravel(), self._sensordata])
         exact = everything[self._read_at]
         noisy = (exact + self._noise.draw()).tolist()
-        return {
+        readings = {
             name: Reading(
                 q=tuple(row[:joints]),
                 qd=tuple(row[joints : 2 * joints]),
                 tau=tuple(row[2 * joints : 3 * joints]),
                 wrench=tuple(row[3 * joints :]),
+                grip_m=STRUT_SIDE_M,
+                odometry=NOWHERE,
             )
             for name, row in zip(self._row, noisy, strict=True)
         }
+        for name in self.hands.empty:
+            grip_m, odometry = self.hands.feel(name)
+            readings[name] = replace(readings[name], grip_m=grip_m, odometry=odometry)
+        return readings
 
     def load_pose(self) -> LoadPose:
         """Where the load is, without noise: for the leader and the record."""
@@ -152,11 +205,13 @@ class MujocoPlant:
         self._pull_lever = np.array(self.points[point]) - self.world.load_com
         self._pull_force = force
 
-    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers) -> None:
+    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers, grip_m: float = 0.0) -> None:
         """This tick's command of one arm; ``stiffness`` is recorded only."""
         row = self._row[arm]
         self._drivers.command(row, torque, base_force)
         self._stiffness[row] = stiffness
+        if self.hands.want(arm, grip_m):
+            self.open_hand(arm)
 
     def lose(self, arm: str) -> str:
         """Nobody drives this arm any more: it does what the scenario says of lost arms. Returns that word."""
@@ -184,8 +239,7 @@ class MujocoPlant:
         """The hand lets go for good."""
         if bad := self._slipping.pop(arm, None):
             bad.end()
-        self._data.eq_active[self.world.arms[arm].weld] = 0
-        self.opened.append(arm)
+        self.hands.let_go(arm)
 
     def regain(self, arm: str) -> None:
         """Somebody drives this arm again."""
@@ -195,6 +249,8 @@ class MujocoPlant:
         """Advance to the next tick. A row of the trace takes :meth:`state_row` before and :meth:`force_row` after."""
         drivers = self._drivers
         drivers.tick()
+        if self.hands.empty:
+            self.hands.move(self.tick, self._dt_s * self._substeps)
         for _ in range(self._substeps):
             if drivers.any_unled:
                 drivers.advance(self._dt_s, self._felt())
@@ -206,6 +262,8 @@ class MujocoPlant:
             mujoco.mj_step(self._model, self._data)
         if self._warnings.any():
             self._fail()
+        if self.hands.closing:
+            self.hands.watch(self.tick, self._dt_s * self._substeps)
         self.tick += 1
 
     def _felt(self) -> Felt:
@@ -273,6 +331,15 @@ class MujocoPlant:
         )
         tick = self.tick - 1
         return [np.array([tick, tick * self._substeps * self._dt_s]), *load, self._pull_force, rows.ravel()]
+
+
+def fair_shares(world: World) -> Array:
+    """What of the load's weight each arm carries, (N,) N: level and at rest, and as equal as the struts allow."""
+    weight = world.load_mass * -world.model.opt.gravity[2]
+    held = np.array([world.struts[ids.strut].p[:2] for ids in world.arms.values()]) - world.load_com[:2]
+    balance = np.vstack([np.ones(len(held)), held.T])
+    shares: Array = np.linalg.lstsq(balance, np.array([weight, 0.0, 0.0]), rcond=None)[0]
+    return shares
 
 
 def _ignore(message: str) -> None:

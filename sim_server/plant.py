@@ -26,6 +26,8 @@ class Reading:
     qd: Vector
     tau: Vector
     wrench: Vector
+    grip_m: float
+    odometry: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +57,17 @@ class Plant(Protocol):
         """The leader's force, (3,) N world, at a named point of the load; held until the next one."""
         ...
 
-    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers) -> None:
+    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers, grip_m: float = 0.0) -> None:
         """This tick's command for one arm (``stiffness`` is recorded only); an arm without one has missed the tick."""
+        ...
+
+    @property
+    def carry_height_m(self) -> float:
+        """How high above the arms' own base frames the hands carry."""
+        ...
+
+    def reach(self, arm: str) -> Vector:
+        """Where the strut of this arm is, for :class:`wire.messages.Welcome`; its odometer begins now."""
         ...
 
     def lose(self, arm: str) -> str:

@@ -6,6 +6,7 @@ Transport threads only put things into the inbox; the server's own thread takes 
 from __future__ import annotations
 
 import queue
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
@@ -19,6 +20,8 @@ from wire.link import Link, Publisher, Question
 from wire.messages import Goodbye, Hello, Message, Refusal, Vector, Welcome
 
 LEADER = "leader"
+HELD_S = 1.5
+"""An agent waits two seconds for an answer to its greeting before it greets again."""
 STRANGERS_KEPT = 100
 """Kinds of strangers that are told apart; a flood of names must not fill the memory."""
 
@@ -43,6 +46,9 @@ class Terms:
     period_ns: int
     points: dict[str, Vector]
     force_max_N: float
+    carry_height_m: float = 0.0
+    reach: Callable[[], Vector] = lambda: (0.0,) * 7
+    """Where the strut is that it shall take; asked at its welcome."""
 
 
 @dataclass(slots=True)
@@ -55,6 +61,8 @@ class Agent:
     hello: Hello | None = None
     alive: bool = False
     """Whether its sign of life is there."""
+    comes_later: bool = False
+    """Whether its robot stood there without an agent first."""
 
     @property
     def is_in(self) -> bool:
@@ -83,17 +91,31 @@ class Reception:
         self.tallies = Tallies()
         self.strangers: dict[str, int] = {}
         """Refusals of those who are nobody here, by run, name and reason."""
+        self._link = link
+        self._held: dict[str, tuple[Question, float] | None] = {}
         for invitation, terms in invitations:
-            name = invitation.name
-            theirs = self.keys_of(name)
-            publisher = CountedPublisher(link.publisher(theirs.state), self.tallies.of(name, theirs.state, "to"))
-            self.agents[name] = Agent(AgentLink(invitation), terms, publisher)
-            link.subscribe(theirs.command, self._putter("answer", name, theirs.command))
-            link.watch_alive(theirs.alive, self._on_alive(name, theirs.alive))
+            self.invite(invitation, terms)
         for expression in ANY_HELLO:
             link.answer_queries(expression, lambda question: self.inbox.put(Arrived("question", "", b"", question)))
         link.subscribe(keys.order, self._putter("order", "", keys.order))
         link.declare_alive(keys.sim_alive)
+
+    def invite(self, invitation: Invitation, terms: Terms, *, hold: bool = False) -> None:
+        """Expect an agent; with ``hold`` its greeting is answered only after :meth:`let_in`."""
+        name, link = invitation.name, self._link
+        theirs = self.keys_of(name)
+        publisher = CountedPublisher(link.publisher(theirs.state), self.tallies.of(name, theirs.state, "to"))
+        self.agents[name] = Agent(AgentLink(invitation), terms, publisher, comes_later=hold)
+        if hold:
+            self._held[name] = None
+        link.subscribe(theirs.command, self._putter("answer", name, theirs.command))
+        link.watch_alive(theirs.alive, self._on_alive(name, theirs.alive))
+
+    def let_in(self, name: str) -> None:
+        """Answer the greeting of an agent that was invited for later; one that asked too long ago asks again."""
+        waiting = self._held.pop(name, None)
+        if waiting is not None and time.monotonic() - waiting[1] < HELD_S:
+            self.answer(waiting[0])
 
     def keys_of(self, name: str) -> ArmKeys:
         """An agent's own keys."""
@@ -141,6 +163,9 @@ class Reception:
     def answer(self, question: Question) -> str | None:
         """Reply to a greeting or a goodbye; the name of an agent that left, or None."""
         name = self._named(question.key)
+        if name in self._held:
+            self._held[name] = question, time.monotonic()
+            return None
         agent = self.agents.get(name)
         ours = agent is not None and question.key == self.keys_of(name).hello
         whose = (name, question.key) if ours else (STRANGERS, "*/hello")  # one row: a flood of names must not fill it
@@ -173,7 +198,17 @@ class Reception:
             return None
         agent.hello = message
         terms = agent.terms
-        reply(Welcome(lease, terms.clock, terms.period_ns, terms.points, terms.force_max_N))
+        reply(
+            Welcome(
+                lease,
+                terms.clock,
+                terms.period_ns,
+                terms.points,
+                terms.force_max_N,
+                terms.carry_height_m,
+                terms.reach(),
+            )
+        )
         return None
 
     @staticmethod

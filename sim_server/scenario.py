@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from sim_server.scenario_events import ScenarioEvent, check_events
+from sim_server.scenario_events import Join, ScenarioEvent, check_events
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
@@ -26,6 +26,11 @@ REAL_TIME_PERIODS_MS = (1, 2, 4)
 
 WhenLost = Literal["limp", "brake", "release"]
 LoadPoint = Literal["centre", "front", "back", "left", "right"]
+
+
+def arm_number(name: str) -> int:
+    """Number of an arm, from 0: ``a1`` is 0. What is drawn for an arm, and its colour, depend on it."""
+    return int(name[1:]) - 1
 
 
 class Section(BaseModel):
@@ -187,7 +192,7 @@ class Scenario(Section):
                 f"leader.period_ms: {self.leader.period_ms} is not a multiple of "
                 f"clock.control_period_ms = {self.clock.control_period_ms}"
             )
-        check_events(self.events, self.arms, self.leader is not None, self.duration_s)
+        check_events(self.events, self.arms, self.leader is not None, self.duration_s, self.load.struts)
         return self
 
     @property
@@ -199,6 +204,11 @@ class Scenario(Section):
     def seconds(self, ticks: int) -> float:
         """Duration of a run of so many ticks."""
         return ticks * self.clock.control_period_ms / 1000
+
+    @property
+    def joining(self) -> tuple[str, ...]:
+        """Names of the arms that come later, by its events."""
+        return tuple(event.arm for event in self.events if isinstance(event, Join))
 
     @property
     def arms(self) -> tuple[str, ...]:

@@ -47,7 +47,21 @@ class FailGrasp(_Event):
     """Spurious force between hand and load, one standard deviation per axis."""
 
 
-ScenarioEvent = Annotated[ProcessEvent | FailGrasp, Field(discriminator="kind")]
+class Join(_Event):
+    """A new robot comes: it stands outside at that time, drives to a free strut, takes hold, and carries on.
+
+    Its world is built and its agent started before that, while the simulation goes on.
+    """
+
+    kind: Literal["join"]
+    arm: Annotated[str, Field(pattern=r"^a[1-9][0-9]{0,2}$")]
+    """A name that no arm of the scenario has, such as ``a5``."""
+    strut: Annotated[int, Field(strict=True, ge=1)]
+    """Number of the strut, from 1; arm ``ak`` of the team starts at strut k."""
+
+
+ScenarioEvent = Annotated[ProcessEvent | FailGrasp | Join, Field(discriminator="kind")]
+AnyEvent = ProcessEvent | FailGrasp | Join
 
 _FOLLOWS: Mapping[Verb, tuple[Collection[str], str]] = {
     "kill": (("running", "stopped"), "gone"),
@@ -60,7 +74,7 @@ _FOLLOWS: Mapping[Verb, tuple[Collection[str], str]] = {
 
 
 def check_events(
-    events: Sequence[ProcessEvent | FailGrasp], arms: Collection[str], has_leader: bool, end_s: float
+    events: Sequence[AnyEvent], arms: Collection[str], has_leader: bool, end_s: float, struts: int = 16
 ) -> None:
     """Raise ``ValueError`` with ``key: what is wrong`` for the first event that cannot happen."""
     agents = [*arms, "leader"] if has_leader else list(arms)
@@ -70,15 +84,24 @@ def check_events(
         where = f"events.{number}"
         if event.at_s >= end_s:
             raise ValueError(f"{where}.at_s: {event.at_s:g} s is not before the run's end at {end_s:g} s")
+        if isinstance(event, Join):
+            if event.arm in process:
+                raise ValueError(
+                    f"{where}.arm: there is an arm {event.arm} already; a newcomer needs a name of its own"
+                )
+            if event.strut > struts:
+                raise ValueError(f"{where}.strut: {event.strut}, but the load has {struts} struts")
+            process[event.arm] = "running"
+            continue
         if isinstance(event, FailGrasp):
-            if event.arm not in arms:
+            if event.arm not in process or event.arm == "leader":
                 raise ValueError(f"{where}.arm: no arm {event.arm!r}; expected one of {', '.join(arms)}")
             if event.arm in slipped:
                 raise ValueError(f"{where}.arm: the grasp of {event.arm} has failed before, and for good")
             slipped.add(event.arm)
             continue
         if event.agent not in process:
-            raise ValueError(f"{where}.agent: no agent {event.agent!r}; expected one of {', '.join(agents)}")
+            raise ValueError(f"{where}.agent: no agent {event.agent!r}; expected one of {', '.join(process)}")
         before, after = _FOLLOWS[event.kind]
         if process[event.agent] not in before and not ("running" in before and process[event.agent] == "running again"):
             raise ValueError(
@@ -88,7 +111,7 @@ def check_events(
         process[event.agent] = "running again" if event.kind == "continue" else after
 
 
-def in_order(events: Sequence[ProcessEvent | FailGrasp], period_ms: int) -> list[tuple[int, ProcessEvent | FailGrasp]]:
+def in_order(events: Sequence[AnyEvent], period_ms: int) -> list[tuple[int, AnyEvent]]:
     """Events with the tick before which they happen, in time; those of one time in the order of the file."""
     return sorted(
         ((round(event.at_s * 1000 / period_ms), event) for event in events),

@@ -6,6 +6,8 @@ The one place where a model is specified; ``world.py`` says where everything sta
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -16,7 +18,7 @@ from sim_server.layout import Array, Pose
 from sim_server.loads import LoadBody
 from sim_server.parts import MEETS, Colour, Part, Touch
 from sim_server.robots import ACCENTS, R_SE, base_parts
-from sim_server.scenario import Base, Scenario
+from sim_server.scenario import Base, Scenario, arm_number
 from wire.arms import arm_path
 
 FINGERS = ("left_finger", "right_finger")
@@ -26,21 +28,40 @@ WELD_SOLIMP = (0.98, 0.999, 0.001, 0.5, 2.0)
 
 
 def compile_scene(
-    scenario: Scenario, load: LoadBody, X_WO: Pose, pedestal_m: float, differences: Mapping[str, ArmDifferences]
-) -> tuple[Any, Any]:
-    """Compiled model and its data. The load stands at ``X_WO``; arm ``ak`` is welded to strut k - 1.
+    scenario: Scenario,
+    load: LoadBody,
+    X_WO: Pose,
+    pedestal_m: float,
+    differences: Mapping[str, ArmDifferences],
+    seats: Mapping[str, int],
+) -> Any:
+    """Compiled model. The load stands at ``X_WO``; each arm of ``differences`` is welded to its strut (from 0).
 
-    The robots are still at the origin: write their joints into ``data.qpos``, then :func:`refresh`.
+    The robots are still at the origin: write their joints into the data's ``qpos``, then :func:`refresh`.
     """
     spec = _scene(scenario)
     _add_load(spec, load, X_WO)
-    for index, (name, different) in enumerate(differences.items()):
-        accent = ACCENTS[index % len(ACCENTS)]
+    for name, different in differences.items():
+        accent = ACCENTS[arm_number(name) % len(ACCENTS)]
         _add_robot(spec, name, scenario.team.arm, scenario.base, pedestal_m, accent, different)
-        _add_weld(spec, name, f"grasp{index + 1}")
+        _add_weld(spec, name, f"grasp{seats[name] + 1}")
     spec.compiler.discardvisual = True  # nine of ten geoms are for the eye only; the physics is the same to the bit
-    model = spec.compile()
-    return model, mujoco.MjData(model)
+    return spec.compile()
+
+
+def new_data(model: Any) -> Any:
+    """Data for a model, all at its zero."""
+    return mujoco.MjData(model)
+
+
+def write_model(model: Any, path: Path) -> None:
+    """A compiled model to a file, for another process of the same release."""
+    mujoco.mj_saveModel(model, str(path), None)
+
+
+def read_model(path: Path) -> Any:
+    """A model that :func:`write_model` wrote."""
+    return mujoco.MjModel.from_binary_path(str(path))
 
 
 def refresh(model: Any, data: Any) -> None:
@@ -50,6 +71,11 @@ def refresh(model: Any, data: Any) -> None:
 
 def tool_pose(arm: str, q: Array) -> Pose:
     """Pose of the tool centre in the arm's own base frame, by the description."""
+    return _tool_pose(arm, tuple(q.tolist()))
+
+
+@cache
+def _tool_pose(arm: str, q: tuple[float, ...]) -> Pose:
     model = mujoco.MjModel.from_xml_path(str(arm_path(arm)))
     data = mujoco.MjData(model)
     data.qpos[:] = q
@@ -117,7 +143,7 @@ def _add_parts(body: Any, parts: list[Part]) -> None:
             type=mujoco.mjtGeom.mjGEOM_BOX if box else mujoco.mjtGeom.mjGEOM_CYLINDER,
             size=[x / 2, y / 2, z / 2] if box else [x / 2, z / 2, 0],
             pos=part.X.p,
-            quat=_quat_wxyz(part.X.R),
+            quat=quat_wxyz(part.X.R),
             rgba=[*part.colour, 1],
             contype=part.touch,
             conaffinity=MEETS[part.touch],
@@ -126,7 +152,7 @@ def _add_parts(body: Any, parts: list[Part]) -> None:
 
 
 def _add_load(spec: Any, load: LoadBody, X_WO: Pose) -> None:
-    body = spec.worldbody.add_body(name="load", pos=X_WO.p, quat=_quat_wxyz(X_WO.R))
+    body = spec.worldbody.add_body(name="load", pos=X_WO.p, quat=quat_wxyz(X_WO.R))
     body.add_freejoint(name="load")
     I = load.inertia.I
     body.explicitinertial = True
@@ -135,7 +161,7 @@ def _add_load(spec: Any, load: LoadBody, X_WO: Pose) -> None:
     _add_parts(body, load.parts)
     for k, X_OS in enumerate(load.struts, start=1):
         X_OE = X_OS.compose(Pose(np.zeros(3), R_SE))
-        body.add_site(name=f"grasp{k}", pos=X_OE.p, quat=_quat_wxyz(X_OE.R), group=4)
+        body.add_site(name=f"grasp{k}", pos=X_OE.p, quat=quat_wxyz(X_OE.R), group=4)
 
 
 def _add_robot(
@@ -192,7 +218,19 @@ def _add_weld(spec: Any, name: str, grasp: str) -> None:
     )
 
 
-def _quat_wxyz(R: Array) -> Array:
+def locate(model: Any, data: Any) -> None:
+    """Where all bodies and sites are at the present positions; forces and velocities are left as they were."""
+    mujoco.mj_kinematics(model, data)
+
+
+def rotation(data: Any, site: int) -> Array:
+    """The axes of a site in the world, (3, 3)."""
+    R: Array = data.site_xmat[site].reshape(3, 3)
+    return R
+
+
+def quat_wxyz(R: Array) -> Array:
+    """A rotation as a unit quaternion, w first, (4,)."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R).ravel())
     return quat

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,16 +25,29 @@ class SensorNoise:
     """
 
     def __init__(self, sigma: Array, seed: int, arms: int) -> None:
-        self._sigma = sigma
+        self._sigma, self._seed = sigma, seed
         self._streams = [np.random.default_rng([seed, STREAM, arm]) for arm in range(arms)]
         self._drawn: Array = np.empty((TICKS_AHEAD, arms, len(sigma)))
         self._next = TICKS_AHEAD
+
+    def exchange(self, rows: Sequence[int | None], numbers: Sequence[int]) -> None:
+        """From now on these arms: each is an old row, or new and the arm of that number."""
+        streams, drawn = [], np.empty((TICKS_AHEAD, len(rows), len(self._sigma)))
+        for here, (row, number) in enumerate(zip(rows, numbers, strict=True)):
+            stream = np.random.default_rng([self._seed, STREAM, number]) if row is None else self._streams[row]
+            streams.append(stream)
+            drawn[:, here] = self._block(stream) if row is None else self._drawn[:, row]
+        self._streams, self._drawn = streams, drawn
+
+    def _block(self, stream: np.random.Generator) -> Array:
+        block: Array = self._sigma * stream.standard_normal((TICKS_AHEAD, len(self._sigma)))
+        return block
 
     def draw(self) -> Array:
         """The next tick's noise, (N, k); valid until the next call."""
         if self._next == TICKS_AHEAD:
             for arm, stream in enumerate(self._streams):
-                self._drawn[:, arm] = self._sigma * stream.standard_normal((TICKS_AHEAD, len(self._sigma)))
+                self._drawn[:, arm] = self._block(stream)
             self._next = 0
         self._next += 1
         drawn: Array = self._drawn[self._next - 1]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from sim_server.layout import LayoutError
 from sim_server.lockstep import Stopped
 from sim_server.metrics import tilt_deg
 from sim_server.mujoco_plant import MujocoPlant
+from sim_server.newcomers import Newcomers
 from sim_server.reception import LEADER, Arrived, Reception, Terms
 from sim_server.run_description import Ending, describe_agents, describe_run
 from sim_server.run_folder import AUDIT, METRICS, RUN, RunFolder, compute_metrics, write_json
@@ -101,6 +103,8 @@ class Server:
             names_proven=names_proven,
         )
         self._clock = make_clock(self._scenario, self._reception, self._plant, self._report)
+        self._trace: TraceWriter | None = None
+        self._newcomers = Newcomers(self._scenario, self._plant, self._reception, self._invite, self._robots_changed)
         deeds = CountedPublisher(link.publisher(keys.deeds), self._reception.tallies.of(OPERATOR, keys.deeds, "to"))
         self._happenings = Happenings(
             self._scenario.events,
@@ -111,21 +115,41 @@ class Server:
             self._report,
             period_ms=self._scenario.clock.control_period_ms,
             start_s=self._scenario.clock.start_timeout_s,
+            newcomers=self._newcomers,
+            waits=self._scenario.clock.mode == "lock-step",
         )
         self._start_wall = 0.0
         self._last_progress = 0.0
         self._started_at = datetime.now(UTC)
 
-    def _invitations(self) -> Iterator[tuple[Invitation, Terms]]:
-        scenario = self._scenario
-        team, clock = scenario.team, scenario.clock
+    def _invite(self, arm: str) -> None:
+        """A newcomer may greet from now on; the answer waits for its tick."""
+        self._reception.invite(*self._invitation(arm), hold=True)
+        self._auditor.expect(arm, self._reception.keys_of(arm))
+
+    def _invitation(self, arm: str) -> tuple[Invitation, Terms]:
+        team, clock = self._scenario.team, self._scenario.clock
         digest, joints = arm_digest(team.arm), arm_limits(team.arm).joints
-        period_ns = clock.control_period_ms * 1_000_000
+        return (
+            Invitation(self._run_name, "follower", arm, team.arm, digest, joints, team.missed_ticks_until_lost),
+            Terms(
+                clock.mode,
+                clock.control_period_ms * 1_000_000,
+                {},
+                0.0,
+                self._plant.carry_height_m,
+                partial(self._plant.reach, arm),
+            ),
+        )
+
+    def _robots_changed(self, names: Sequence[str]) -> None:
+        if self._trace is not None:
+            self._trace.segment(names)
+
+    def _invitations(self) -> Iterator[tuple[Invitation, Terms]]:
+        scenario, team, clock = self._scenario, self._scenario.team, self._scenario.clock
         for arm in scenario.arms:
-            yield (
-                Invitation(self._run_name, "follower", arm, team.arm, digest, joints, team.missed_ticks_until_lost),
-                Terms(clock.mode, period_ns, {}, 0.0),
-            )
+            yield self._invitation(arm)
         if scenario.leader is not None:
             yield (
                 Invitation(self._run_name, "leader", LEADER, "", "", 0, team.missed_ticks_until_lost),
@@ -143,7 +167,7 @@ class Server:
 
     def stop(self) -> None:
         """End the run before the next tick, keeping what was recorded. May be called from any thread or a signal."""
-        self._reception.inbox.put(Arrived("order", "", encode(Order("stop"))))
+        self._reception.inbox.put(Arrived("order", "", encode(Order("stop", 0))))
 
     def run(self) -> Outcome:
         """Wait for the agents, run to the end, write the folder.
@@ -185,6 +209,7 @@ class Server:
     def _run_ticks(self) -> tuple[bool, str]:
         scenario, plant, clock = self._scenario, self._plant, self._clock
         trace = TraceWriter(self._folder.trace, scenario.arms, arm_limits(scenario.team.arm).joints)
+        self._trace = trace
         self._start_wall = time.monotonic()
         self._report("started")
         try:
@@ -206,6 +231,7 @@ class Server:
         except (PlantFailed, Undone) as failure:
             return False, str(failure)
         finally:
+            self._newcomers.end()
             trace.close()
         return True, "reached its duration"
 

@@ -54,11 +54,28 @@ class TraceWriter:
     """Collects rows and writes them block by block; the file is whole after :meth:`close`."""
 
     def __init__(self, path: Path, arms: Iterable[str], joints: int) -> None:
-        self._columns = columns(arms, joints)
+        self._path, self._joints = path, joints
+        self._parts: list[Path] = []
+        self._begin(arms)
+
+    def _begin(self, arms: Iterable[str]) -> None:
+        part = self._path.with_suffix(f".{len(self._parts) + 1}.part") if self._parts else self._path
+        self._columns = columns(arms, self._joints)
         self._schema = pa.schema([(name, _type(name, width)) for name, width in self._columns.items()])
-        self._writer: Any = pq.ParquetWriter(path, self._schema, compression="zstd")
+        self._writer: Any = pq.ParquetWriter(part, self._schema, compression="zstd")
+        self._parts.append(part)
         self._block = np.empty((BLOCK_ROWS, sum(self._columns.values())))
         self._filled = 0
+
+    def segment(self, arms: Iterable[str]) -> None:
+        """From the next row on, these arms are there."""
+        self._finish()
+        self._begin(arms)
+
+    def _finish(self) -> None:
+        if self._filled:
+            self._flush()
+        self._writer.close()
 
     def append(self, parts: list[Array]) -> None:
         """One row: the values of all columns in order, in pieces of any length."""
@@ -82,9 +99,13 @@ class TraceWriter:
 
     def close(self) -> None:
         """Write what is left and finish the file."""
-        if self._filled:
-            self._flush()
-        self._writer.close()
+        self._finish()
+        if len(self._parts) == 1:
+            return
+        tables = [pq.read_table(part) for part in self._parts]
+        pq.write_table(pa.concat_tables(tables, promote_options="default"), self._path, compression="zstd")
+        for part in self._parts[1:]:
+            part.unlink()
 
 
 def _type(name: str, width: int) -> Any:
@@ -103,8 +124,10 @@ def read_trace(path: Path) -> Mapping[str, NDArray[Any]]:
     found: dict[str, NDArray[Any]] = {}
     for field in table.schema:
         column = table.column(field.name).combine_chunks()
-        if pa.types.is_fixed_size_list(field.type):
-            found[field.name] = np.asarray(column.flatten()).reshape(-1, field.type.list_size)
-        else:
-            found[field.name] = np.asarray(column)
+        if not pa.types.is_fixed_size_list(field.type):
+            found[field.name] = column.to_numpy(zero_copy_only=False)  # with NaN where there is nothing
+            continue
+        rows: NDArray[Any] = np.full((len(column), field.type.list_size), np.nan)
+        rows[np.asarray(column.is_valid())] = np.asarray(column.flatten()).reshape(-1, field.type.list_size)
+        found[field.name] = rows
     return found

@@ -11,7 +11,8 @@ motor driver before it keeps the limits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,8 @@ from sim_server.differences import JOINTS, ArmDifferences, draw_differences
 from sim_server.layout import Array, Pose, base_poses, strut_level_m
 from sim_server.loads import load_body
 from sim_server.robots import R_SE, home, pedestal_height_m
-from sim_server.scenario import LoadPoint, Scenario
-from sim_server.scene import compile_scene, refresh, tool_pose
+from sim_server.scenario import LoadPoint, Scenario, arm_number
+from sim_server.scene import compile_scene, new_data, refresh, tool_pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,7 @@ class ArmIds:
 
     Attributes:
         name: ``a1`` ...
-        strut: number of the strut it holds at the start, from 0; its site is ``grasp_site``.
+        strut: number of the strut it holds, or is to take, from 0; its site is ``grasp_site``.
         base_qpos, base_dof: x, y [m], yaw [rad] of the base in the world: ``data.qpos[base_qpos]`` is the base's pose.
         arm_qpos, arm_dof: the 7 joints of the arm. Motor torque: ``data.qfrc_applied[arm_dof]``.
         force_sensor, torque_sensor: 3 numbers each in ``data.sensordata``: what the arm's flange exerts on the hand
@@ -80,6 +81,8 @@ class World:
         load_com: centre of mass (3,) [m] in O; load_mass [kg].
         struts: poses ``X_OS`` of all struts, held or free.
         q_home: joint positions (7,) [rad] at the start.
+        X_AE: pose of the tool centre in the arm's own base frame then; the hand points straight down.
+        X_BS: pose of the strut in the base of the robot that holds it then.
         pedestal_m: height of the arms' foot above the floor.
     """
 
@@ -96,15 +99,23 @@ class World:
     X_WO_start: Pose
     struts: list[Pose]
     q_home: Array
+    X_AE: Pose
+    X_BS: Pose
     pedestal_m: float
 
 
-def build_world(scenario: Scenario) -> World:
+def build_world(scenario: Scenario, seats: Mapping[str, int] | None = None) -> World:
     """The scenario's world, every robot in its starting posture with its hand closed on its strut.
+
+    Args:
+        scenario: what it is built from.
+        seats: the arms that are in it, each with its strut (from 0); by default the scenario's team.
 
     Raises ``LayoutError`` when load and robots do not fit, ``NoHome`` or ``wire.arms.UnknownArm`` for an arm that is
     not known. The same scenario gives the same world, number for number.
     """
+    if seats is None:
+        seats = {name: strut for strut, name in enumerate(scenario.arms)}
     arm = scenario.team.arm
     q_home = home(arm)
     load = load_body(scenario.load)
@@ -115,10 +126,12 @@ def build_world(scenario: Scenario) -> World:
     X_WO = Pose.planar(0, 0, float(X_BS.p[2]) - level)
     bases = [X_WO.compose(X_OB) for X_OB in base_poses(scenario.load, X_BS)]
 
-    differences = {name: draw_differences(scenario.plant, scenario.seed, i) for i, name in enumerate(scenario.arms)}
-    model, data = compile_scene(scenario, load, X_WO, pedestal, differences)
-    arms = {name: _arm_ids(model, name, strut, differences[name]) for strut, name in enumerate(scenario.arms)}
-    for ids, X_WB in zip(arms.values(), bases, strict=False):  # a load may have more struts than the team has arms
+    differences = {name: draw_differences(scenario.plant, scenario.seed, arm_number(name)) for name in seats}
+    model = compile_scene(scenario, load, X_WO, pedestal, differences, seats)
+    data = new_data(model)
+    arms = {name: _arm_ids(model, name, strut, differences[name]) for name, strut in seats.items()}
+    for ids in arms.values():
+        X_WB = bases[ids.strut]
         data.qpos[ids.base_qpos] = X_WB.p[0], X_WB.p[1], X_WB.yaw
         data.qpos[ids.arm_qpos] = q_home
     refresh(model, data)
@@ -137,7 +150,38 @@ def build_world(scenario: Scenario) -> World:
         X_WO_start=X_WO,
         struts=load.struts,
         q_home=q_home,
+        X_AE=X_AE,
+        X_BS=X_BS,
         pedestal_m=pedestal,
+    )
+
+
+def with_robots(world: World, seats: Mapping[str, int], model: Any) -> Generator[None, None, World]:
+    """The same load among other robots, in small steps between which time may pass: the world is this generator's
+    return value. Its ``data`` is at the load's start, and all robots at the origin.
+
+    Args:
+        world: what there is; stays as it is.
+        seats: the arms of the new world, each with its strut (from 0).
+        model: the compiled model of just these.
+    """
+    data = new_data(model)
+    yield
+    arms = {}
+    for name, strut in seats.items():
+        arms[name] = _arm_ids(
+            model, name, strut, draw_differences(world.scenario.plant, world.scenario.seed, arm_number(name))
+        )
+        yield
+    joint = model.joint("load")
+    return replace(
+        world,
+        model=model,
+        data=data,
+        arms=arms,
+        load_body=model.body("load").id,
+        load_qpos=_run(joint.qposadr[0], 7),
+        load_dof=_run(joint.dofadr[0], 6),
     )
 
 

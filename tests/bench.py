@@ -20,7 +20,7 @@ from wire.codec import decode, decode_any, encode
 from wire.keys import Keys
 from wire.lifecycle import Invitation, Phase
 from wire.memory import Broker, MemoryQuestion, key_matches
-from wire.messages import Command, End, Hello, LeaderForce, LeaderView, Message, State, Welcome
+from wire.messages import Command, End, Hello, LeaderForce, LeaderView, Message, State, Vector, Welcome
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class Ledger:
     def read(self) -> Mapping[str, Reading]:
         self.book.append(("read", self.tick))
         return {
-            arm: Reading((k + 0.1,) * 7, (k + 0.2,) * 7, (k + 0.3,) * 7, (k + 0.4,) * 6)
+            arm: Reading((k + 0.1,) * 7, (k + 0.2,) * 7, (k + 0.3,) * 7, (k + 0.4,) * 6, 0.03, (0.0,) * 6)
             for k, arm in enumerate(self.arms, start=1)
         }
 
@@ -52,8 +52,15 @@ class Ledger:
     def pull(self, point: str, force: Array) -> None:
         self.book.append(("pull", point, tuple(force.tolist())))
 
-    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers) -> None:
+    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers, grip_m: float = 0.0) -> None:
         self.book.append(("command", arm, float(torque[0])))
+
+    @property
+    def carry_height_m(self) -> float:
+        return 0.5
+
+    def reach(self, arm: str) -> Vector:
+        return (0.0,) * 7
 
     def lose(self, arm: str) -> str:
         self.book.append(("lose", arm))
@@ -117,7 +124,7 @@ class MemoryAgent:
 
     def command(self, tick: int, torque: float = 1.0, *, lease: int | None = None, arm: str = "") -> None:
         own = self.lease if lease is None else lease
-        message = Command(arm or self.name, tick, own, (torque,) * 7, (0.0,) * 3, (0.0,) * 7, 1)
+        message = Command(arm or self.name, tick, own, (torque,) * 7, (0.0,) * 3, 0.0, (0.0,) * 7, 1)
         self.publisher.put(encode(message))
 
     def force(self, tick: int, force: tuple[float, float, float], point: str = "front") -> None:

@@ -65,10 +65,21 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
         control_period_ns=integers,
         points=st.dictionaries(text(), vector(3), max_size=6),
         force_max_N=finite,
+        carry_height_m=finite,
+        strut=vector(7),
     ),
     "refusal": st.builds(Refusal, reason=text(), text=text(1000)),
     "state": st.builds(
-        State, arm=text(), tick=integers, time_ns=integers, q=joints, qd=joints, tau=joints, wrench=vector(6)
+        State,
+        arm=text(),
+        tick=integers,
+        time_ns=integers,
+        q=joints,
+        qd=joints,
+        tau=joints,
+        wrench=vector(6),
+        grip_m=finite,
+        odometry=vector(6),
     ),
     "command": st.builds(
         Command,
@@ -77,6 +88,7 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
         lease=integers,
         torque=joints,
         base_force=vector(3),
+        grip_m=finite,
         stiffness=joints,
         step_ns=integers,
     ),
@@ -105,7 +117,7 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
         missed_ticks=integers,
         age_max_ticks=integers,
     ),
-    "order": st.builds(Order, verb=st.just("stop")),
+    "order": st.builds(Order, verb=st.sampled_from(["stop", "join"]), strut=integers),
     "deed": st.builds(
         Deed, number=integers, verb=st.sampled_from(["kill", "stop", "continue", "start", "leave"]), agent=text()
     ),
@@ -117,16 +129,18 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
 SEVEN = (0.0, -0.25, 0.5, -2.0, 1e-9, 1.5, 87.0)
 SAMPLES: dict[str, Message] = {
     "hello": Hello("follower", "transport", "a1", "panda", "0a" * 32, 4711, "bench-7"),
-    "welcome": Welcome(2, "lock-step", 1_000_000, {"front": (0.8, 0.0, 0.72), "centre": (0.0, 0.0, 0.4)}, 40.0),
+    "welcome": Welcome(
+        2, "lock-step", 1_000_000, {"front": (0.8, 0.0, 0.72), "centre": (0.0, 0.0, 0.4)}, 40.0, 0.0, SEVEN
+    ),
     "refusal": Refusal("taken", "one instance at a time"),
-    "state": State("a1", 12, 12_000_000, SEVEN, SEVEN, SEVEN, (1.0, 2.0, -30.5, 0.1, 0.2, 0.3)),
-    "command": Command("a1", 12, 2, SEVEN, (4.0, -3.0, 0.5), SEVEN, 210_000),
+    "state": State("a1", 12, 12_000_000, SEVEN, SEVEN, SEVEN, (1.0, 2.0, -30.5, 0.1, 0.2, 0.3), 0.03, (0.0,) * 6),
+    "command": Command("a1", 12, 2, SEVEN, (4.0, -3.0, 0.5), 0.0, SEVEN, 210_000),
     "leader_view": LeaderView(20, 20_000_000, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.2)),
     "leader_force": LeaderForce(20, 1, "front", (40.0, 0.0, 0.0)),
     "goodbye": Goodbye("a1", 2),
     "end": End("over", "the run is over"),
     "progress": Progress("running", "", 100, 30_000, 0.1, 0.9, 1.25, -1.0, 7, 3),
-    "order": Order("stop"),
+    "order": Order("stop", 0),
     "deed": Deed(3, "kill", "a2"),
     "done": Done(3, ""),
 }
@@ -139,7 +153,7 @@ every_message = pytest.mark.parametrize("kind", SCHEMAS)
 def body_of(message: Message) -> dict[str, Any]:
     """The MessagePack map of a message, built without the codec."""
     (kind,) = [name for name, (cls, _) in SCHEMAS.items() if cls is type(message)]
-    return {"v": 1, "type": kind} | {field.name: getattr(message, field.name) for field in fields(message)}
+    return {"v": 2, "type": kind} | {field.name: getattr(message, field.name) for field in fields(message)}
 
 
 def packed(body: object) -> bytes:

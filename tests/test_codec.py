@@ -26,6 +26,8 @@ FIXED_LENGTH = {
     "quat_wxyz": 4,
     "linear_velocity": 3,
     "angular_velocity": 3,
+    "odometry": 6,
+    "strut": 7,
 }
 """Vectors that are as long for every arm; all others have one number per joint."""
 

@@ -67,8 +67,8 @@ def test_any_value_gives_a_refusal_when_it_is_no_message(value: object) -> None:
 
 
 EXAMPLES: dict[str, Message] = {
-    "state": State("a1", 5, 5_000_000, (0.5,) * 7, (0.25,) * 7, (1.0,) * 7, (2.0,) * 6),
-    "command": Command("a1", 5, 1, (0.5,) * 7, (0.25,) * 3, (1.0,) * 7, 100),
+    "state": State("a1", 5, 5_000_000, (0.5,) * 7, (0.25,) * 7, (1.0,) * 7, (2.0,) * 6, 0.03, (0.5,) * 6),
+    "command": Command("a1", 5, 1, (0.5,) * 7, (0.25,) * 3, 0.0, (1.0,) * 7, 100),
     "leader_view": LeaderView(5, 5_000_000, (0.5,) * 3, (1.0, 0.0, 0.0, 0.0), (0.25,) * 3, (1.0,) * 3),
 }
 NAME_OF = {cls: name for name, (cls, _) in SCHEMAS.items()}

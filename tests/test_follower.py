@@ -36,7 +36,15 @@ class PlayedSimulator:
         self.link = self.broker.link()
         self.answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         points: dict[str, Vector] = {"front": (0.8, 0.0, 0.7)}
-        welcome = Welcome(lease=3, clock=clock, control_period_ns=1_000_000, points=points, force_max_N=40.0)
+        welcome = Welcome(
+            lease=3,
+            clock=clock,
+            control_period_ns=1_000_000,
+            points=points,
+            force_max_N=40.0,
+            carry_height_m=0.0,
+            strut=(0.0,) * 7,
+        )
         for keys in (KEYS.arm("a1"), KEYS.leader):
             self.link.subscribe(keys.command, self.answers.put)
             self.link.answer_queries(keys.hello, lambda question: self._answer(question, reply() if reply else welcome))
@@ -81,7 +89,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 
 def state(tick: int, arm: str = "a1", q: Vector = Q) -> bytes:
-    return encode(State(arm, tick, tick * 1_000_000, q, ZERO, ZERO, (0.0,) * 6))
+    return encode(State(arm, tick, tick * 1_000_000, q, ZERO, ZERO, (0.0,) * 6, 0.03, (0.0,) * 6))
 
 
 def gravity() -> np.ndarray[tuple[int], np.dtype[np.float64]]:

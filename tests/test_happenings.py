@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 from sim_server import happenings
 from sim_server.errors import ScenarioError
+from sim_server.grasping import Closing
 from sim_server.happenings import Happenings, Undone
+from sim_server.newcomers import CannotCome
 from sim_server.scenario_events import FailGrasp, ProcessEvent, Verb, check_events
 from sim_server.scenario_files import load_scenario
 from wire.codec import decode, encode
@@ -82,11 +84,41 @@ def test_events_of_one_agent_are_taken_exactly_when_there_is_a_process_to_do_the
 # The clock
 
 
+class HandsBook:
+    """What has become of hands since it was last looked at."""
+
+    def __init__(self) -> None:
+        self.opened: list[str] = []
+        self.grasped: list[Closing] = []
+
+
+class NoNewcomers:
+    """Nobody comes."""
+
+    def advance(self) -> None:
+        pass
+
+    def check(self, strut: int) -> None:
+        raise CannotCome(f"strut {strut + 1}: nobody comes")
+
+    def next_name(self) -> str:
+        raise NotImplementedError
+
+    def prepare(self, arm: str, strut: int) -> None:
+        raise NotImplementedError
+
+    def is_ready(self, arm: str) -> bool:
+        raise NotImplementedError
+
+    def arrive(self, arm: str) -> float:
+        raise NotImplementedError
+
+
 class NoHands:
     """A plant's hands that only write down."""
 
     def __init__(self) -> None:
-        self.opened: list[str] = []
+        self.hands = HandsBook()
         self.book: list[tuple[object, ...]] = []
 
     def loosen(self, arm: str, force_N: float) -> None:
@@ -94,7 +126,7 @@ class NoHands:
 
     def slip(self, arm: str) -> None:
         self.book.append(("open", arm))
-        self.opened.append(arm)
+        self.hands.opened.append(arm)
 
 
 class Stage:
@@ -120,6 +152,8 @@ class Stage:
             self.bench._report,
             period_ms=1,
             start_s=1.0,
+            newcomers=NoNewcomers(),
+            waits=True,
         )
         self.tick = 0
 

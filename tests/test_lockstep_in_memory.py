@@ -40,7 +40,17 @@ def test_a_follower_gets_its_own_senses_and_nothing_of_any_other() -> None:
     bench.run(2)
     for k, agent in ((1, a1), (2, a2)):
         expected = [
-            State(agent.name, t, t * PERIOD_NS, (k + 0.1,) * 7, (k + 0.2,) * 7, (k + 0.3,) * 7, (k + 0.4,) * 6)
+            State(
+                agent.name,
+                t,
+                t * PERIOD_NS,
+                (k + 0.1,) * 7,
+                (k + 0.2,) * 7,
+                (k + 0.3,) * 7,
+                (k + 0.4,) * 6,
+                0.03,
+                (0.0,) * 6,
+            )
             for t in (0, 1)
         ]
         assert agent.seen == expected
@@ -352,7 +362,7 @@ def test_an_order_to_stop_stops_before_the_next_step() -> None:
     bench = Bench(("a1",))
     bench.join("a1")
     bench.run(2)
-    bench.broker.link().publisher(Keys(RUN).order).put(encode(Order("stop")))
+    bench.broker.link().publisher(Keys(RUN).order).put(encode(Order("stop", 0)))
     with pytest.raises(Stopped):
         bench.run(1)
     assert ("step", 1) in bench.book

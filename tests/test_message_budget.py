@@ -55,7 +55,7 @@ def test_the_budget_has_every_field_that_can_reach_a_follower_and_no_other() -> 
 
 
 def test_no_field_of_the_budget_tells_of_anybody_but_the_follower_and_the_clock() -> None:
-    allowed = {"itself", "the clock", "its own joints", "its own wrist", "nothing"}
+    allowed = {"itself", "the clock", "its own joints", "its own wrist", "its own hand", "its own base", "nothing"}
     for name, about, why in table("silence.md", "budget"):
         assert about in allowed, name
         assert why
@@ -92,7 +92,7 @@ def listen(named: NamedScenario, folder: Path) -> Ear:
                     ear.end = payload
             if isinstance(message, State):
                 zeros = (0.0,) * 7
-                publisher.put(encode(Command(name, message.tick, 1, message.tau, (0.0, 0.0, 0.0), zeros, 0)))
+                publisher.put(encode(Command(name, message.tick, 1, message.tau, (0.0, 0.0, 0.0), 0.0, zeros, 0)))
             elif isinstance(message, LeaderView):
                 publisher.put(encode(LeaderForce(message.tick, 1, "centre", (0.0, 0.0, 0.0))))
             else:
@@ -172,6 +172,8 @@ def test_the_others_and_the_load_are_felt_in_the_forces_and_told_nowhere_else(
 def test_a_followers_welcome_holds_nothing_of_the_load(usual: Ear) -> None:
     welcome = decode(usual.welcome, Welcome)
     assert (welcome.points, welcome.force_max_N, welcome.lease) == ({}, 0.0, 1)
+    assert welcome.strut == (0.0,) * 7
+    assert {decode(state, State).odometry for state in usual.states} == {(0.0,) * 6}
 
 
 def moved(scenario: Scenario, X_VW: Pose) -> MujocoPlant:

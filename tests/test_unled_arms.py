@@ -106,7 +106,7 @@ def test_a_lost_arm_that_releases_draws_up_and_back_smoothly_and_its_base_stands
         plant.step()
         now = hand(plant, "a2")
         fastest, last = max(fastest, float(np.linalg.norm(now - last)) / DT_S), now
-    assert plant.opened == ["a2"]
+    assert plant.hands.opened == ["a2"]
     assert not holds(plant, "a2")
     assert 0.15 < last[2] - before[2] < 0.35
     assert fastest < 0.5  # no teleport: 0.25 m in 2 s, and what the freed arm springs by

@@ -191,10 +191,10 @@ def test_the_limits_are_those_of_the_codec() -> None:
     ((entries, reason),) = [(int(value), code(reason)[0]) for what, value, reason in table if not code(what)]
     points: dict[str, Vector] = {str(k): (0.0, 0.0, 0.0) for k in range(entries + 1)}
     with pytest.raises(Refused) as refused:
-        decode_any(encode(Welcome(1, "lock-step", 1, points, 0.0)))
+        decode_any(encode(Welcome(1, "lock-step", 1, points, 0.0, 0.0, (0.0,) * 7)))
     assert refused.value.reason == reason
     del points["0"]
-    decode_any(encode(Welcome(1, "lock-step", 1, points, 0.0)))
+    decode_any(encode(Welcome(1, "lock-step", 1, points, 0.0, 0.0, (0.0,) * 7)))
 
 
 def test_the_keys_are_those_of_the_code() -> None:

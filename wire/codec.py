@@ -133,6 +133,8 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
             "control_period_ns": _integer,
             "points": _points,
             "force_max_N": _number,
+            "carry_height_m": _number,
+            "strut": _vector(7, 7),
         },
     ),
     "refusal": (Refusal, {"reason": _text(40), "text": _text(1000)}),
@@ -146,6 +148,8 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
             "qd": _joints,
             "tau": _joints,
             "wrench": _vector(6, 6),
+            "grip_m": _number,
+            "odometry": _vector(6, 6),
         },
     ),
     "command": (
@@ -156,6 +160,7 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
             "lease": _integer,
             "torque": _joints,
             "base_force": _three,
+            "grip_m": _number,
             "stiffness": _joints,
             "step_ns": _integer,
         },
@@ -189,7 +194,7 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
             "age_max_ticks": _integer,
         },
     ),
-    "order": (Order, {"verb": _one_of("stop")}),
+    "order": (Order, {"verb": _one_of("stop", "join"), "strut": _integer}),
     "deed": (
         Deed,
         {"number": _integer, "verb": _one_of("kill", "stop", "continue", "start", "leave"), "agent": _text(40)},
@@ -221,7 +226,9 @@ class _Quick:
     def __init__(self, cls: type[Any]) -> None:
         self._head = _HEADS[cls]
         self._decode = msgspec.msgpack.Decoder(cls).decode
-        self._vectors = attrgetter(*(name for name, kind in get_type_hints(cls).items() if kind == Vector))
+        hints = get_type_hints(cls).items()
+        self._vectors = attrgetter(*(name for name, kind in hints if kind == Vector))
+        self._numbers = [attrgetter(name) for name, kind in hints if kind is float]
 
     def decode(self, payload: bytes) -> Any:
         """The message, or None where the long way has to be taken."""
@@ -233,6 +240,9 @@ class _Quick:
             return None
         for vector in self._vectors(message):
             if not isfinite(sum(vector)):  # a sum is finite only if all its terms are
+                return None
+        for number in self._numbers:
+            if not isfinite(number(message)):
                 return None
         return message
 

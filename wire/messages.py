@@ -51,6 +51,12 @@ class Welcome:
     """Leader only: named points of the load, (3,) m, in the load's frame O. Empty for followers."""
     force_max_N: float
     """Leader only: the largest pull that is not refused. Zero for followers."""
+    carry_height_m: float
+    """Followers only: how high above the arm's own base frame the hand carries, pointing straight down. Zero for the
+    leader."""
+    strut: Vector
+    """Followers whose hand is empty only: where the strut is that it shall take, told this once: (7,) position in m
+    and ``quat_wxyz`` of the hand that grasps it, in the base frame B as it stands now. Zeros for all others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +82,11 @@ class State:
     """Measured joint torques, (n,) N m."""
     wrench: Six
     """Wrist wrench [force; torque], (6,) N and N m: what the arm exerts on the hand, in the wrist frame."""
+    grip_m: float
+    """How far the fingers of its hand are open, m."""
+    odometry: Six
+    """Only while the hand is empty: the base's x, y, yaw since its welcome, in the frame in which it stood then, and
+    its velocity in its present frame B: (6,) m, rad and m/s, rad/s. Else zeros: who carries feels no place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +101,8 @@ class Command:
     """Joint torques, (n,) N m, gravity included."""
     base_force: Three
     """(3,) force x, y in N and yaw torque in N m on the mobile base, in the base frame B."""
+    grip_m: float
+    """How far the fingers shall open, m: 0 closes them on whatever is between them."""
     stiffness: Joints
     """(n,) present joint stiffness, N m/rad."""
     step_ns: Count
@@ -164,7 +177,9 @@ class Progress:
 class Order:
     """An order of the operator."""
 
-    verb: Literal["stop"]
+    verb: Literal["stop", "join"]
+    strut: int
+    """``join``: number of the strut that a new robot shall take, from 1. Else 0."""
 
 
 @dataclass(frozen=True, slots=True)

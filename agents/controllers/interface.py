@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,16 @@ class Controller(Protocol):
 
     def step(self, sensed: Sensed, dt_s: float) -> Effort:
         """The effort at this instant; ``dt_s`` is the simulated time since the step before (one period at first)."""
+        ...
+
+
+@runtime_checkable
+class CarriesAt(Protocol):
+    """A controller that can be told where to carry. One that has no such method carries where its hand is when it takes
+    over."""
+
+    def carry_at(self, height_m: float) -> None:
+        """Carry with the hand pointing straight down, this high above the arm's base frame. Before the first step."""
         ...
 
 

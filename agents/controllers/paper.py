@@ -125,9 +125,13 @@ def paper_law(
     return joint_torque(tau_task, tau_null, C, qd, g), np.array([*F_m, 0.0]), K
 
 
+STRAIGHT_DOWN = (0.0, 0.0, -1.0)
+"""The vertical, seen from a hand that points straight down."""
+
+
 class PaperController:
-    """Equations 5 to 16: holds the hand's height, roll and pitch where they were at the first step, follows in the
-    plane, stiffens with the error, drives the base after the hand.
+    """Equations 5 to 16: holds the hand's height, roll and pitch where they were at the first step (or where it is told
+    to, ours), follows in the plane, stiffens with the error, drives the base after the hand.
 
     Runs :func:`paper_law` traced (agents/tracing.py): the same equations, evaluated in one call.
 
@@ -150,6 +154,12 @@ class PaperController:
         poses = {"p_BE": (3,), "R_BE": (3, 3), "p_held": (3,), "up_E": (3,), "ahead_held": (3,)}
         self._law = Traced(partial(paper_law, self.gains), shapes | poses, symmetric=("M_inv",))
         self._holds = False
+        self._height_m: float | None = None
+
+    def carry_at(self, height_m: float) -> None:
+        """Hold this height, m in B, and the hand straight down, instead of what is found at the first step: so an arm
+        that comes back, or joins, takes its share of a load that has sagged meanwhile."""
+        self._height_m = height_m
 
     def step(self, sensed: Sensed, dt_s: float) -> Effort:
         """The law remembers the pose at the first step and integrates nothing: ``dt_s`` is not used."""
@@ -161,6 +171,8 @@ class PaperController:
             terms["p_held"][:] = terms["p_BE"]
             terms["up_E"][:] = terms["R_BE"][2]
             terms["ahead_held"][:] = terms["R_BE"][:, 0]
+            if self._height_m is not None:
+                terms["p_held"][2], terms["up_E"][:] = self._height_m, STRAIGHT_DOWN
             self._holds = True
         law()
         return Effort(*(each.copy() for each in law.outputs))

@@ -74,7 +74,7 @@ def _asks(key: Callable[[Target], str], make: Callable[[Target], bytes]) -> Call
 
 
 def command(arm: str, *, tick: int, lease: int) -> bytes:
-    return encode(Command(arm, tick, lease, SEVEN, (0.0, 0.0, 0.0), SEVEN, 0))
+    return encode(Command(arm, tick, lease, SEVEN, (0.0, 0.0, 0.0), 0.0, SEVEN, 0))
 
 
 def hello(target: Target, name: str, role: Literal["follower", "leader"] = "follower") -> bytes:
@@ -174,7 +174,7 @@ SPEAKING: tuple[Attempt, ...] = (
     Attempt(
         "tell another a false state",
         "speak",
-        _tells(lambda t: encode(State(t.own, 0, 0, SEVEN, SEVEN, SEVEN, SEVEN[:6]))),
+        _tells(lambda t: encode(State(t.own, 0, 0, SEVEN, SEVEN, SEVEN, SEVEN[:6], 0.0, SEVEN[:6]))),
     ),
     Attempt("tell another that all is over", "speak", _tells(lambda t: encode(End("sleep", "")))),  # type: ignore[arg-type]
     Attempt("say goodbye for another", "pose", _asks(_victims_hello, lambda t: encode(Goodbye(t.victim, WRONG_LEASE)))),
