@@ -115,6 +115,10 @@ class CredentialStore:
         new = [name for name in dict.fromkeys(names) if name not in self._entries]
         for name in new:
             principal(name)  # every name is good before the first file is written
+            if name == CA:  # its folder would take the place of the authority's, and the key that signs be gone
+                raise CredentialError(
+                    f"--arm {name}: the authority's folder has this name; call the arm something else"
+                )
         for name in new:
             self._issue(name, 1, days, now)
         self._write()

@@ -41,6 +41,9 @@ NEVER: Mapping[str, tuple[int | None, int | None]] = {
     "utime": (132, None), "utimes": (235, None), "utimensat": (280, 88), "futimesat": (261, None), "flock": (73, 32),
     "inotify_init": (253, None), "inotify_init1": (294, 26), "inotify_add_watch": (254, 27),
     "fanotify_init": (300, 262),
+    "file_setattr": (469, 469), "mincore": (27, 232), "cachestat": (451, 451), "syslog": (103, 116),
+    # programs: Landlock does not see one that lies in memory only (memfd)
+    "execve": (59, 221), "execveat": (322, 281),
     # keys, queues, semaphores, shared memory
     "add_key": (248, 217), "request_key": (249, 218), "keyctl": (250, 219),
     "msgget": (68, 186), "msgsnd": (69, 189), "msgrcv": (70, 188), "msgctl": (71, 187),
@@ -55,12 +58,24 @@ SOMETIMES: Mapping[str, tuple[int, int]] = {
     "socket": (41, 198), "sendto": (44, 206), "sendmsg": (46, 211), "sendmmsg": (307, 269), "prlimit64": (302, 261),
     "sched_setaffinity": (203, 122), "sched_setscheduler": (144, 119), "sched_setparam": (142, 118),
     "sched_setattr": (314, 274), "setpriority": (141, 140), "ioprio_set": (251, 30), "clock_gettime": (228, 113),
-    "fcntl": (72, 25), "prctl": (157, 167), "clone": (56, 220), "clone3": (435, 435),
+    "fcntl": (72, 25), "prctl": (157, 167), "clone": (56, 220), "clone3": (435, 435), "ioctl": (16, 29),
+    "getpriority": (140, 141), "ioprio_get": (252, 31), "sched_getaffinity": (204, 123),
+    "sched_getscheduler": (145, 120), "sched_getparam": (143, 121), "sched_getattr": (315, 275),
+    "sched_rr_get_interval": (148, 127),
+    "clock_getres": (229, 114), "clock_nanosleep": (230, 115), "timer_create": (222, 107),
 }  # fmt: skip
 
 _FAST_OPEN = 0x20000000
 _NEW_NAMESPACES = 0x7E020000
 _FILE_LOCKS = (5, 6, 7, 36, 37, 38)
+_LEASES_AND_NOTICES = (1024, 1025, 1026)
+"""A lease is a lock on a file that may only be read; a notice (dnotify) tells who else reads in a folder."""
+_WRITE_HINTS = (1035, 1036, 1037, 1038)
+"""They stay with the file, for all who open it."""
+_HARMLESS_IOCTLS = (0x5401, 0x802C542A, 0x5413, 0x5411, 0x541B, 0x5421, 0x5450, 0x5451)
+"""Is it a terminal, how wide, how much waits, without blocking, closed in programs. All others are denied: some leave
+flags in files that may only be read, one types into the terminal."""
+_PRIO_PROCESS, _IOPRIO_WHO_PROCESS = 0, 1
 _PR_SET_DUMPABLE = 4
 _STREAM, _TCP = 1, 6
 _INET, _INET6 = 2, 10
@@ -83,6 +98,17 @@ def _give(answer: int) -> bytes:
 
 def _deny_unless_zero(index: int) -> Program:
     return [_argument(index), _step(_JUMP_EQUAL, 0, 0, 1), _give(_ALLOW), _give(_DENY)]
+
+
+def _deny_unless_itself(index_of_kind: int, process: int, index_of_id: int) -> Program:
+    """Number 0 is oneself only as a process: as a user it is everybody's."""
+    kind = [_argument(index_of_kind), _step(_JUMP_EQUAL, process, 1, 0), _give(_DENY)]
+    return [*kind, *_deny_unless_zero(index_of_id)]
+
+
+def _allow_if_one_of(index: int, values: tuple[int, ...]) -> Program:
+    checks = [part for value in values for part in (_step(_JUMP_EQUAL, value, 0, 1), _give(_ALLOW))]
+    return [_argument(index), *checks, _give(_DENY)]
 
 
 def _deny_if_any_bit(index: int, bits: int) -> Program:
@@ -119,10 +145,24 @@ _CONDITIONS: Mapping[str, Program] = {
     "sched_setscheduler": _deny_unless_zero(0),
     "sched_setparam": _deny_unless_zero(0),
     "sched_setattr": _deny_unless_zero(0),
-    "setpriority": _deny_unless_zero(1),
-    "ioprio_set": _deny_unless_zero(1),
-    "clock_gettime": _deny_if_any_bit(0, 1 << 31),  # the processor time of another process
-    "fcntl": _deny_if_one_of(1, _FILE_LOCKS),
+    "setpriority": _deny_unless_itself(0, _PRIO_PROCESS, 1),
+    "ioprio_set": _deny_unless_itself(0, _IOPRIO_WHO_PROCESS, 1),
+    # What one process sets for itself must not be read by another: that would be a message.
+    "getpriority": _deny_unless_itself(0, _PRIO_PROCESS, 1),
+    "ioprio_get": _deny_unless_itself(0, _IOPRIO_WHO_PROCESS, 1),
+    "sched_getscheduler": _deny_unless_zero(0),
+    "sched_getparam": _deny_unless_zero(0),
+    "sched_getattr": _deny_unless_zero(0),
+    "sched_rr_get_interval": _deny_unless_zero(0),
+    # The C library asks this of its own threads by number, and takes "no such call" for an answer.
+    "sched_getaffinity": [_argument(0), _step(_JUMP_EQUAL, 0, 0, 1), _give(_ALLOW), _give(_ERRNO | errno.ENOSYS)],
+    # The processor time of another process: read, waited for, or rung a bell by.
+    "clock_gettime": _deny_if_any_bit(0, 1 << 31),
+    "clock_getres": _deny_if_any_bit(0, 1 << 31),
+    "clock_nanosleep": _deny_if_any_bit(0, 1 << 31),
+    "timer_create": _deny_if_any_bit(0, 1 << 31),
+    "fcntl": _deny_if_one_of(1, _FILE_LOCKS + _LEASES_AND_NOTICES + _WRITE_HINTS),
+    "ioctl": _allow_if_one_of(1, _HARMLESS_IOCTLS),
     "prctl": _deny_if_one_of(0, (_PR_SET_DUMPABLE,)),
     "clone": _deny_if_any_bit(0, _NEW_NAMESPACES),
     "clone3": [_give(_ERRNO | errno.ENOSYS)],  # its flags cannot be seen; the C library then uses clone

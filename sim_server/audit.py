@@ -144,7 +144,9 @@ class Auditor:
             f"in the whole run, {len(counted.accounted)} connections carried no more than the messages meant for them",
         ]
         if counted.silent:
-            found.append(f"{counted.silent} more connections carried less than a message and are nobody's")
+            found.append(
+                f"{counted.silent} more connections carried no more than an opening and signs of life, and are nobody's"
+            )
         return "holds", found + counted.notes, counted
 
     def _violations(self, seen: SessionSeen) -> Iterator[str]:

@@ -82,12 +82,51 @@ def attempts(aim: dict[str, Any]) -> dict[str, Callable[[], object]]:
         with open(os.__file__, "rb") as shared:
             fcntl.lockf(shared, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
+    def control_shared_file(*arguments: Any) -> None:
+        with open(os.__file__, "rb") as shared:
+            fcntl.fcntl(shared, *arguments)
+
+    def lease() -> None:  # taking one, like leaving a hint, needs the file's owner
+        control_shared_file(fcntl.F_GETLEASE)
+
+    def watch_the_old_way() -> None:
+        folder = os.open(Path(os.__file__).parent / "json", os.O_RDONLY)
+        try:
+            fcntl.fcntl(folder, fcntl.F_NOTIFY, fcntl.DN_ACCESS)
+        finally:
+            os.close(folder)
+
+    def ask_for_block_size() -> None:
+        """Stands for all that ioctl does with files: flags, versions. This one every file system has."""
+        with open(os.__file__, "rb") as shared:
+            fcntl.ioctl(shared, 2, bytes(4))
+
+    def run_from_memory() -> None:
+        """Landlock knows no files that are in no folder."""
+        program = os.memfd_create("program")
+        try:
+            os.write(program, b"#!/nothing/there\n")
+            child = os.fork()
+            if child == 0:
+                try:
+                    os.execve(program, ["program"], {})
+                except PermissionError:
+                    os._exit(1)
+                except OSError:
+                    os._exit(0)  # it was begun: the interpreter that it names was looked for
+            if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]):
+                raise PermissionError(1, "exec")
+        finally:
+            os.close(program)
+
     # By number, so only where the numbers are known; of System V, whoever makes something takes it away again.
     by_number: dict[str, Callable[[], object]] = {
         "leave a message in the keyring": lambda: call(248, b"user", b"palanquin-q", b"x", ctypes.c_size_t(1), -4),
         "open a message queue": open_queue,
         "open a semaphore": open_semaphore,
         "open shared memory of System V": open_shared_memory,
+        "be woken by another's processor time": lambda: call(222, ctypes.c_int(~pid << 3 | 2), None, bytes(8)),
+        "read another's input and output priority": lambda: call(252, 1, pid),
         "show its memory again": lambda: call(157, 4, 1, 0, 0, 0),
     }
     return {
@@ -101,6 +140,11 @@ def attempts(aim: dict[str, Any]) -> dict[str, Callable[[], object]]:
         "limit another's processor time": lambda: resource.prlimit(pid, resource.RLIMIT_CPU, (1000, 1000)),
         "move another to one core": lambda: os.sched_setaffinity(pid, os.sched_getaffinity(0)),
         "slow another down": lambda: os.setpriority(os.PRIO_PROCESS, pid, 5),
+        "set the priority of a whole group": lambda: os.setpriority(os.PRIO_PGRP, 0, os.nice(0)),
+        "read another's priority": lambda: os.getpriority(os.PRIO_PROCESS, pid),
+        "read another's scheduler": lambda: os.sched_getscheduler(pid),
+        "read another's cores": lambda: os.sched_getaffinity(pid),
+        "ask for the clock of another's processor time": lambda: time.clock_getres((~pid) << 3 | 2),
         "read another's processor time": lambda: time.clock_gettime((~pid) << 3 | 2),
         "leave a message in a file's attributes": lambda: os.setxattr(private, "user.q", b"0.1 0.2"),
         "leave a message in a file's times": lambda: os.utime(private, ns=(1, 2)),
@@ -108,6 +152,11 @@ def attempts(aim: dict[str, Any]) -> dict[str, Callable[[], object]]:
         "watch a folder": watch,
         "lock a shared file": lock,
         "lock a part of a shared file": range_lock,
+        "look for a lease on a shared file": lease,
+        "read a hint left in a shared file": lambda: control_shared_file(1035, bytes(8)),
+        "control a shared file": ask_for_block_size,
+        "watch a folder in the old way": watch_the_old_way,
+        "run a program from memory": run_from_memory,
         "read another's private file": private.read_text,
         "list another's folder": lambda: os.listdir(private.parent),
         "write outside its folder": lambda: (private.parent / "was-here").write_text("x"),

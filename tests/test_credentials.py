@@ -272,6 +272,8 @@ def test_the_verb_makes_lists_renews_and_revokes(tmp_path: Path) -> None:
         (["team", "--rotate", "a9"], "a9: has no credential here"),
         (["team", "--revoke", "sim"], "revoking it would lock nobody out"),
         (["team", "--arm", "a/*"], "expected 1 to 40 of a-z"),
+        (["team", "--arm", "ca"], "--arm ca: the authority's folder has this name"),
+        (["new", "--arm", "ca"], "--arm ca: the authority's folder has this name"),
         (["team", "--arm", "a5", "--days", "0"], "expected 1 to 3650"),
         (["team", "--router-config", "r.json5"], "give its name with --run"),
         (["team", "--router-config", "r.json5", "--run", "x", "--listen", "tcp/0.0.0.0:7447"], "will not listen"),
@@ -298,3 +300,10 @@ def test_what_the_verb_cannot_do_is_one_sentence_and_status_2(tmp_path: Path, ar
     assert said in line
     assert ended.returncode == 2
     assert sorted(path for path in tmp_path.rglob("*")) == before
+
+
+def test_the_folder_where_one_stands_cannot_be_made_anew(tmp_path: Path) -> None:
+    ended = run_to_end("credentials", ".", "--arms", "1", cwd=tmp_path)
+    assert ended.stderr.splitlines() == ["palanquin: .: names no folder of its own; expected a name such as team"]
+    assert ended.returncode == 2
+    assert list(tmp_path.iterdir()) == []

@@ -41,6 +41,8 @@ def new_folder(path: Path) -> Iterator[Path]:
 
     An older folder of that name is replaced. Raises :class:`CredentialError` where no folder can be made.
     """
+    if path.name in ("", ".."):
+        raise CredentialError(f"{path}: names no folder of its own; expected a name such as {path / 'team'}")
     building = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
