@@ -65,6 +65,8 @@ class LeaderSettings:
     join_timeout_s: float = 30.0
     stops: tuple[Stop, ...] = ()
     """Where to pull before, each until its time."""
+    wait_s: float = 0.0
+    """How long to stand in line while another leader is in."""
 
     def __post_init__(self) -> None:
         for what, value in (
@@ -73,6 +75,7 @@ class LeaderSettings:
             ("force bound", self.force_max_N),
             ("stiffness", self.stiffness_N_m),
             ("damping", self.damping_Ns_m),
+            ("time to wait", self.wait_s),
         ):
             if not math.isfinite(value):
                 raise LeaderSettingsError(f"leader: {what}: got {value}, expected a finite number")
@@ -146,18 +149,18 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
     session = AgentSession(
         link, keys.leader, keys.sim_alive, Hello("leader", settings.run, "leader", "", "", pid, host)
     )
-    welcome = session.join(settings.join_timeout_s)
-    if settings.point not in welcome.points:
-        session.leave()
-        raise AgentError(
-            f"leader: the load has no point {settings.point!r}; expected one of {', '.join(sorted(welcome.points))}"
-        )
-    point_O = np.array(welcome.points[settings.point])
-    settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
-    receive = session.receive_newest if welcome.clock == "real-time" else session.receive
-    on_the_way = "".join(f" {stop.goal_m} until {stop.until_s:g} s, then" for stop in settings.stops)
-    log.info("leader: joined, pulling %s towards%s %s", settings.point, on_the_way, settings.goal_m)
     try:
+        welcome = session.join(settings.join_timeout_s, settings.wait_s)
+        if settings.point not in welcome.points:
+            session.leave()
+            raise AgentError(
+                f"leader: the load has no point {settings.point!r}; expected one of {', '.join(sorted(welcome.points))}"
+            )
+        point_O = np.array(welcome.points[settings.point])
+        settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
+        receive = session.receive_newest if welcome.clock == "real-time" else session.receive
+        on_the_way = "".join(f" {stop.goal_m} until {stop.until_s:g} s, then" for stop in settings.stops)
+        log.info("leader: joined, pulling %s towards%s %s", settings.point, on_the_way, settings.goal_m)
         while True:
             view = receive(1.0)
             if isinstance(view, LeaderView):
@@ -166,5 +169,6 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
     except RunEnded as ended:
         return str(ended)
     except KeyboardInterrupt:
-        session.leave()
+        if session.lease:
+            session.leave()
         return "interrupted"

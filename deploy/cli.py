@@ -243,6 +243,9 @@ def leader(
     stiffness: Annotated[float, typer.Option("--stiffness-N-m", min=0.0)] = 100.0,
     damping: Annotated[float, typer.Option("--damping-Ns-m", min=0.0)] = 320.0,
     point: Annotated[str, typer.Option(help="Point of the load that is pulled.")] = "front",
+    wait_s: Annotated[
+        float, typer.Option("--wait-s", min=0.0, help="Stand in line so long while another leader is in.")
+    ] = 0.0,
     walls: Walls = False,
     credential: OwnCredential = None,
     with_parent: WithParent = False,
@@ -259,7 +262,7 @@ def leader(
         _raise_walls(connect)
     Keys(run)
     stops = tuple(map(Stop.read, stop or []))
-    settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point, stops=stops)
+    settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point, stops=stops, wait_s=wait_s)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
     _leave_on_signals()
