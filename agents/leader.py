@@ -26,8 +26,33 @@ class LeaderSettingsError(AgentError):
 
 
 @dataclass(frozen=True, slots=True)
+class Stop:
+    """A place on the way: the leader pulls there, and holds the load there, until a simulated time."""
+
+    goal_m: tuple[float, float]
+    """Where the load's frame O shall be meanwhile, (2,) m, world."""
+    until_s: float
+
+    @classmethod
+    def read(cls, text: str) -> Stop:
+        """From ``X,Y,UNTIL_S``. Raises :class:`LeaderSettingsError`."""
+        try:
+            x, y, until_s = map(float, text.split(","))
+        except ValueError:
+            raise LeaderSettingsError(
+                f"leader: stop {text!r}: expected X,Y,UNTIL_S in m and s, such as 0.8,0,12"
+            ) from None
+        return cls((x, y), until_s)
+
+    @property
+    def until_ns(self) -> int:
+        """The same time as the simulator's clock counts it."""
+        return round(self.until_s * 1e9)
+
+
+@dataclass(frozen=True, slots=True)
 class LeaderSettings:
-    """The leader's goal and how it pulls."""
+    """The leader's goal, the stops before it, and how it pulls."""
 
     run: str
     goal_m: tuple[float, float]
@@ -38,6 +63,10 @@ class LeaderSettings:
     point: str = "front"
     """Name of the point of the load that is pulled."""
     join_timeout_s: float = 30.0
+    stops: tuple[Stop, ...] = ()
+    """Where to pull before, each until its time."""
+    wait_s: float = 0.0
+    """How long to stand in line while another leader is in."""
 
     def __post_init__(self) -> None:
         for what, value in (
@@ -46,9 +75,24 @@ class LeaderSettings:
             ("force bound", self.force_max_N),
             ("stiffness", self.stiffness_N_m),
             ("damping", self.damping_Ns_m),
+            ("time to wait", self.wait_s),
         ):
             if not math.isfinite(value):
                 raise LeaderSettingsError(f"leader: {what}: got {value}, expected a finite number")
+        before_s = 0.0
+        for number, stop in enumerate(self.stops, start=1):
+            for value in (*stop.goal_m, stop.until_s):
+                if not math.isfinite(value):
+                    raise LeaderSettingsError(f"leader: stop {number}: got {value}, expected a finite number")
+            if stop.until_s <= before_s:
+                raise LeaderSettingsError(
+                    f"leader: stop {number}: until {stop.until_s:g} s, expected later than {before_s:g} s"
+                )
+            before_s = stop.until_s
+
+    def target_m(self, time_ns: int) -> tuple[float, float]:
+        """Where the load shall be pulled at this simulated time: the first stop that is not over, or the goal."""
+        return next((stop.goal_m for stop in self.stops if time_ns < stop.until_ns), self.goal_m)
 
 
 def bounded_pull(goal_error: Array, velocity: Array, stiffness: float, damping: float, force_max: float) -> Array:
@@ -85,7 +129,7 @@ def pull(view: LeaderView, point_O: Array, settings: LeaderSettings) -> Array:
     arm_W = rotate(np.array(view.quat_wxyz), point_O)
     velocity = np.array(view.linear_velocity) + np.cross(np.array(view.angular_velocity), arm_W)
     planar = bounded_pull(
-        np.array(settings.goal_m) - np.array(view.position[:2]),
+        np.array(settings.target_m(view.time_ns)) - np.array(view.position[:2]),
         velocity[:2],
         settings.stiffness_N_m,
         settings.damping_Ns_m,
@@ -105,17 +149,18 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
     session = AgentSession(
         link, keys.leader, keys.sim_alive, Hello("leader", settings.run, "leader", "", "", pid, host)
     )
-    welcome = session.join(settings.join_timeout_s)
-    if settings.point not in welcome.points:
-        session.leave()
-        raise AgentError(
-            f"leader: the load has no point {settings.point!r}; expected one of {', '.join(sorted(welcome.points))}"
-        )
-    point_O = np.array(welcome.points[settings.point])
-    settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
-    receive = session.receive_newest if welcome.clock == "real-time" else session.receive
-    log.info("leader: joined, pulling %s towards %s", settings.point, settings.goal_m)
     try:
+        welcome = session.join(settings.join_timeout_s, settings.wait_s)
+        if settings.point not in welcome.points:
+            session.leave()
+            raise AgentError(
+                f"leader: the load has no point {settings.point!r}; expected one of {', '.join(sorted(welcome.points))}"
+            )
+        point_O = np.array(welcome.points[settings.point])
+        settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
+        receive = session.receive_newest if welcome.clock == "real-time" else session.receive
+        on_the_way = "".join(f" {stop.goal_m} until {stop.until_s:g} s, then" for stop in settings.stops)
+        log.info("leader: joined, pulling %s towards%s %s", settings.point, on_the_way, settings.goal_m)
         while True:
             view = receive(1.0)
             if isinstance(view, LeaderView):
@@ -124,5 +169,6 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
     except RunEnded as ended:
         return str(ended)
     except KeyboardInterrupt:
-        session.leave()
+        if session.lease:
+            session.leave()
         return "interrupted"

@@ -32,10 +32,10 @@ PATIENCE_S = 60.0
 HAND_M_S, HAND_RAD_S, HAND_1_S = 0.15, 0.6, 5.0
 """Speed limits of the hand, and the rate at which it goes to its aim."""
 SETTLED_M, SETTLED_RAD = 0.002, 0.01
-DRIVE = (0.25, 0.4, 1.5, 0.4)
+DRIVE = (0.4, 0.5, 2.0, 0.5)
 """Base: speed limits m/s and rad/s, the rate at which it goes to its aim 1/s, and the change of speed m/s^2."""
 ARRIVED_M, ARRIVED_RAD, STOPPED_M_S = 0.003, 0.005, 0.005
-BASE_DAMPING = np.array([5000.0, 5000.0, 500.0])
+BASE_DAMPING = np.array([20_000.0, 20_000.0, 2_000.0])
 """Towards the wanted speed of the base: N s/m, N m s/rad."""
 JOINT_NM_RAD, JOINT_NMS_RAD = 400.0, 30.0
 """Stiffness and damping of the proximal joints; those of the wrist are smaller by :data:`WRIST`."""

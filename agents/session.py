@@ -8,10 +8,11 @@ import queue
 import socket
 import time
 from collections import Counter
+from contextlib import suppress
 
 from agents.errors import AgentError, NotWelcome
 from wire.codec import decode, decode_any, encode
-from wire.errors import Refused
+from wire.errors import Reason, Refused
 from wire.keys import ArmKeys
 from wire.link import Link
 from wire.messages import Command, End, Goodbye, Hello, LeaderForce, LeaderView, Refusal, State, Welcome
@@ -21,6 +22,8 @@ log = logging.getLogger("palanquin.agent")
 POLL_S = 0.01
 RETRY_S = 0.1
 """Between two greetings that nobody answered."""
+IN_LINE_S = 0.2
+"""Between two greetings while another instance is in."""
 
 
 class SimulatorGone(AgentError):
@@ -50,6 +53,8 @@ class AgentSession:
         self._inbox: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._publisher = link.publisher(keys.command)
         self._refused: Counter[str] = Counter()
+        self._early = 0
+        """How many messages in the inbox were there with the welcome."""
         self.lease = 0
         link.subscribe(keys.state, self._inbox.put)
         link.watch_alive(sim_alive, self._on_simulator)
@@ -58,14 +63,16 @@ class AgentSession:
         if not alive:
             self._inbox.put(None)
 
-    def join(self, timeout_s: float) -> Welcome:
-        """Greet the simulator and wait to be let in.
+    def join(self, timeout_s: float, wait_s: float = 0.0) -> Welcome:
+        """Greet the simulator and wait to be let in; while another instance is in, stand in line for ``wait_s``.
 
         Raises:
             NotWelcome: it refused, with its reason.
+            RunEnded, SimulatorGone: while this agent stood in line.
             AgentError: no simulator answered within ``timeout_s``.
         """
         deadline = time.monotonic() + timeout_s
+        patience, in_line = time.monotonic() + wait_s, False
         while time.monotonic() < deadline:
             reply = self._link.query(self._keys.hello, encode(self._hello), min(2.0, timeout_s))
             if reply is None:  # a transport that sees nobody to ask says so at once
@@ -73,9 +80,16 @@ class AgentSession:
                 continue
             message = decode_any(reply)
             if isinstance(message, Refusal):
+                if message.reason == Reason.TAKEN and time.monotonic() < patience:
+                    if not in_line:
+                        log.info("another %s is in: standing in line for %g s", self._hello.name, wait_s)
+                    in_line = True
+                    self._stand_in_line()
+                    deadline = time.monotonic() + timeout_s
+                    continue
                 raise NotWelcome(f"{self._hello.name}: the simulator refused this agent: {message.text}")
             welcome = decode(reply, Welcome)
-            self.lease = welcome.lease
+            self.lease, self._early = welcome.lease, self._inbox.qsize()
             self._link.declare_alive(self._keys.alive)
             while not self._publisher.matched():
                 if time.monotonic() > deadline:
@@ -86,6 +100,13 @@ class AgentSession:
             f"{self._hello.name}: no simulator answered on {self._keys.hello} within {timeout_s:g} s; expected one "
             f"that runs {self._hello.run!r} and lets this credential in (one that was revoked or replaced is not heard)"
         )
+
+    def _stand_in_line(self) -> None:
+        """Wait a moment. What is said meanwhile is for the instance that is in, all but the end of the run."""
+        time.sleep(IN_LINE_S)
+        while not self._inbox.empty():
+            with suppress(LostByTheSimulator):
+                self.receive(0.0)
 
     def receive(self, timeout_s: float) -> State | LeaderView | None:
         """The next message of the simulator, or None after ``timeout_s`` without one.
@@ -101,6 +122,7 @@ class AgentSession:
             payload = self._inbox.get(timeout=timeout_s)
         except queue.Empty:
             return None
+        early, self._early = self._early > 0, max(0, self._early - 1)
         if payload is None:
             raise SimulatorGone(f"{self._hello.name}: the simulator is gone")
         try:
@@ -109,6 +131,8 @@ class AgentSession:
             self.refuse(refusal)
             return None
         if isinstance(message, End):
+            if message.kind == "lost" and early:
+                return None  # that was the instance before, lost while this one greeted
             if message.kind == "lost":
                 raise LostByTheSimulator(f"{self._hello.name}: the simulator gave this agent up: {message.reason}")
             raise RunEnded(message.reason)

@@ -235,16 +235,23 @@ def leader(
     run: RunName,
     goal_m: Annotated[tuple[float, float], typer.Option("--goal-m", metavar="X Y", help="Where the load shall go, m.")],
     connect: Connect = DEFAULT_ENDPOINT,
+    stop: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X,Y,UNTIL_S", help="Pull there first, until that simulated time; may be repeated."),
+    ] = None,
     force_max: Annotated[float, typer.Option("--force-max-N", min=0.0)] = 40.0,
     stiffness: Annotated[float, typer.Option("--stiffness-N-m", min=0.0)] = 100.0,
     damping: Annotated[float, typer.Option("--damping-Ns-m", min=0.0)] = 320.0,
     point: Annotated[str, typer.Option(help="Point of the load that is pulled.")] = "front",
+    wait_s: Annotated[
+        float, typer.Option("--wait-s", min=0.0, help="Stand in line so long while another leader is in.")
+    ] = 0.0,
     walls: Walls = False,
     credential: OwnCredential = None,
     with_parent: WithParent = False,
 ) -> None:
     """Start the leader: it sees the load, knows the goal, and pulls."""
-    from agents.leader import LeaderSettings, run_leader
+    from agents.leader import LeaderSettings, Stop, run_leader
     from deploy.links import own_credential
     from wire.keys import Keys
     from wire.zenoh_link import open_client
@@ -254,7 +261,8 @@ def leader(
     if walls:
         _raise_walls(connect)
     Keys(run)
-    settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point)
+    stops = tuple(map(Stop.read, stop or []))
+    settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point, stops=stops, wait_s=wait_s)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
     _leave_on_signals()

@@ -245,6 +245,7 @@ def leader_arguments(scenario: Scenario) -> list[str]:
     return [
         "--goal-m",
         *(repr(x) for x in leader.goal_m),
+        *(f"--stop={','.join(map(repr, (*stop.goal_m, stop.until_s)))}" for stop in leader.stops),
         "--force-max-N",
         repr(leader.force_max_N),
         "--stiffness-N-m",

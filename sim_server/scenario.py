@@ -87,6 +87,15 @@ class Load(Section):
     """Places to grasp, laid out evenly around the rim."""
 
 
+class Stop(Section):
+    """A place on the way to the goal."""
+
+    goal_m: Vector2
+    """Where the load's frame O is pulled meanwhile, in the world's plane."""
+    until_s: Positive
+    """Simulated time at which the leader turns to the next stop, or to the goal."""
+
+
 class Leader(Section):
     """The one who knows the goal: a bounded proportional pull with damping at a named point of the load."""
 
@@ -98,6 +107,8 @@ class Leader(Section):
     point: LoadPoint = "front"
     period_ms: Annotated[int, Field(strict=True, ge=1)] = 10
     """The leader looks and pulls once in this time."""
+    stops: tuple[Stop, ...] = ()
+    """Where the load is pulled before, in this order. The metrics know the goal alone."""
 
 
 class Base(Section):
@@ -192,8 +203,19 @@ class Scenario(Section):
                 f"leader.period_ms: {self.leader.period_ms} is not a multiple of "
                 f"clock.control_period_ms = {self.clock.control_period_ms}"
             )
+        self._check_stops()
         check_events(self.events, self.arms, self.leader is not None, self.duration_s, self.load.struts)
         return self
+
+    def _check_stops(self) -> None:
+        before_s = 0.0
+        for number, stop in enumerate(self.leader.stops if self.leader else ()):
+            where = f"leader.stops.{number}.until_s"
+            if stop.until_s <= before_s:
+                raise ValueError(f"{where}: {stop.until_s:g} s is not after {before_s:g} s, when this stop begins")
+            if stop.until_s >= self.duration_s:
+                raise ValueError(f"{where}: {stop.until_s:g} s is not before the run's end at {self.duration_s:g} s")
+            before_s = stop.until_s
 
     @property
     def ticks(self) -> int:

@@ -152,6 +152,36 @@ BAD: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "goal_is_no_number": (extending("[leader]\ngoal_m = [nan, 0.0]"), "leader.goal_m.0", ("finite", "nan")),
     "goal_is_infinite": (extending("[leader]\ngoal_m = [2.0, inf]"), "leader.goal_m.1", ("finite", "inf")),
     "goal_has_three_numbers": (extending("[leader]\ngoal_m = [2.0, 0.0, 0.0]"), "leader.goal_m", ("2 items",)),
+    "stop_is_no_number": (
+        extending("[leader]\nstops = [{ goal_m = [nan, 0.0], until_s = 1.0 }]"),
+        "leader.stops.0.goal_m.0",
+        ("finite", "nan"),
+    ),
+    "stop_at_no_time": (
+        extending("[leader]\nstops = [{ goal_m = [1.0, 0.0], until_s = 0.0 }]"),
+        "leader.stops.0.until_s",
+        ("greater than 0",),
+    ),
+    "stop_without_an_end": (
+        extending("[leader]\nstops = [{ goal_m = [1.0, 0.0] }]"),
+        "leader.stops.0.until_s",
+        ("missing",),
+    ),
+    "unknown_key_in_a_stop": (
+        extending("[leader]\nstops = [{ goal_m = [1.0, 0.0], until_s = 1.0, force_N = 3.0 }]"),
+        "leader.stops.0.force_N",
+        ("unknown key", "one of goal_m, until_s"),
+    ),
+    "stops_out_of_order": (
+        extending("[leader]\nstops = [{ goal_m = [1.0, 0.0], until_s = 5.0 }, { goal_m = [1.5, 0.0], until_s = 5.0 }]"),
+        "leader.stops.1.until_s",
+        ("5 s is not after 5 s",),
+    ),
+    "stop_beyond_the_end": (
+        extending("[leader]\nstops = [{ goal_m = [1.0, 0.0], until_s = 20.0 }]"),
+        "leader.stops.0.until_s",
+        ("20 s is not before the run's end at 20 s",),
+    ),
     "bound_is_infinite": (extending("[expect]\ntilt_max_deg = { max = inf }"), "expect.tilt_max_deg.max", ("finite",)),
     "bound_without_bounds": (
         "description = 'x'\n[team]\ncount = 4\n[expect]\nyaw_max_deg = {}",
