@@ -101,6 +101,19 @@ class ArmModel:
         terms["p_BE"][:] = placement.translation
         terms["R_BE"][:] = placement.rotation
 
+    def hand(self, q: Array) -> tuple[Array, Array, Array]:
+        """Of :meth:`snapshot` at rest the hand's part alone: p_BE (3,) m, R_BE (3, 3) and J (6, n)."""
+        model, data, tcp = self._model, self._data, self._tcp
+        pin.computeJointJacobians(model, data, q)
+        placement = pin.updateFramePlacement(model, data, tcp)
+        J: Array = pin.getFrameJacobian(model, data, tcp, pin.LOCAL_WORLD_ALIGNED)
+        return placement.translation.copy(), placement.rotation.copy(), J
+
+    def gravity(self, q: Array) -> Array:
+        """Gravity torque at q, (n,) N m."""
+        g: Array = pin.computeGeneralizedGravity(self._model, self._data, q).copy()
+        return g
+
     def _symmetric(self, filled_above: Array) -> Array:
         """The symmetric matrix of which Pinocchio fills the upper triangle only; always a copy."""
         half = self._fold * filled_above

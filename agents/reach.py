@@ -116,10 +116,10 @@ class Reach:
         return self._effort(q, qd, BASE_DAMPING * (self._speed - rate)), OPEN_M
 
     def _begin(self, q: Array) -> None:
-        here = self._arm.snapshot(q, np.zeros(self._arm.joints))
-        self._q, self._place = q.copy(), here.p_BE
-        yaw = heading(self._R_goal @ here.R_BE.T)
-        self._aim = np.array([*(self._goal - planar(yaw) @ here.p_BE)[:2], yaw])
+        p, R, _ = self._arm.hand(q)
+        self._q, self._place = q.copy(), p
+        yaw = heading(self._R_goal @ R.T)
+        self._aim = np.array([*(self._goal - planar(yaw) @ p)[:2], yaw])
 
     def _drive(self, base: Array, rate: Array, dt_s: float) -> bool:
         """Set the wanted speed of the base, in its own frame; whether it stands where it shall."""
@@ -138,10 +138,9 @@ class Reach:
         """Move the wanted joint positions so that the hand goes to this pose; whether it is there."""
         if self._q is None:
             return False
-        here = self._arm.snapshot(self._q, np.zeros(self._arm.joints))
-        off, turned = p - here.p_BE, rotation_vector(R @ here.R_BE.T)
+        p_here, R_here, J = self._arm.hand(self._q)
+        off, turned = p - p_here, rotation_vector(R @ R_here.T)
         v = np.concatenate([limited(HAND_1_S * off, HAND_M_S), limited(HAND_1_S * turned, HAND_RAD_S)])
-        J = here.J
         self._q = self._q + dt_s * (J.T @ np.linalg.solve(J @ J.T + IK_DAMPING**2 * np.eye(6), v))
         return float(np.linalg.norm(off)) < SETTLED_M and float(np.linalg.norm(turned)) < SETTLED_RAD
 
@@ -156,7 +155,7 @@ class Reach:
 
     def _effort(self, q: Array, qd: Array, force: Array) -> CheckedEffort:
         wanted = q if self._q is None else self._q
-        torque = self._arm.snapshot(q, qd).g + self._K * (wanted - q) - self._D * qd
+        torque = self._arm.gravity(q) + self._K * (wanted - q) - self._D * qd
         limited_torque = limit_torque(torque.tolist(), self._torque_max)
         return CheckedEffort(limited_torque, tuple(force.tolist()), tuple(self._K.tolist()))
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.deeds import Doer
+from deploy.mailbox import Mailbox
 from deploy.room import Rooms, room_environment
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario, arm_number
@@ -94,6 +95,7 @@ class Launcher:
         self._agents: dict[str, list[str]] = {}
         self._logs = folder / LOGS
         self._rooms = Rooms()
+        self._mailbox: Mailbox | None = None
 
     def start(self) -> None:
         """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
@@ -172,7 +174,11 @@ class Launcher:
         news: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         link.subscribe(Keys(self._run).progress, news.put)
         doer = Doer(link, self._run, self._process_of, self._start_agent)
+        orders = link.publisher(Keys(self._run).order)
+        self._mailbox = Mailbox(self._folder)
         while self.sim.process.poll() is None:
+            for order in self._mailbox.take():
+                orders.put(encode(order))
             while not news.empty():
                 progress = decode(news.get(), Progress)
                 started = started or progress.phase == "running"
@@ -205,6 +211,9 @@ class Launcher:
 
     def end_all(self) -> None:
         """End every process that is left: politely, then for good."""
+        if self._mailbox is not None:
+            self._mailbox.close()
+            self._mailbox = None
         for signal_number, patience_s in ((signal.SIGTERM, TERM_S), (signal.SIGKILL, TERM_S)):
             alive = [child for child in self._children if child.process.poll() is None]
             for child in alive:

@@ -41,6 +41,8 @@ class Grasping:
         self.closing: dict[str, Closing] = {}
         self.opened: list[str] = []
         """Arms whose hands have opened; whoever reports it takes them out."""
+        self.force_max_N = 0.0
+        """The greatest force of any hand that has taken hold, while it did."""
         self.grasped: list[Closing] = []
         """Hands that have closed on their struts, and a while has passed: likewise."""
 
@@ -105,6 +107,7 @@ class Grasping:
         grips = dict(zip(self._world.arms, grip_wrenches(self._world), strict=True))
         for name, closing in list(self.closing.items()):
             closing.force_max_N = max(closing.force_max_N, float(np.linalg.norm(grips[name][:3])))
+            self.force_max_N = max(self.force_max_N, closing.force_max_N)
             if (tick - closing.tick) * dt_s >= WATCHED_S:
                 self.grasped.append(self.closing.pop(name))
 

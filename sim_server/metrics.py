@@ -150,6 +150,17 @@ def internal_forces(grips: Array, arms_W: Array) -> Array:
     return internal
 
 
+def _internal_of_those_who_hold(grips: Array, arms_W: Array) -> Array:
+    """:func:`internal_forces` of the hands that hold at each instant; zeros for the others."""
+    holds = (grips != 0.0).any(axis=2)
+    internal = np.zeros_like(grips)
+    for who in np.unique(holds, axis=0):
+        if who.any():
+            rows = np.ix_(np.flatnonzero((holds == who).all(axis=1)), np.flatnonzero(who))
+            internal[rows] = internal_forces(grips[rows], arms_W[rows])
+    return internal
+
+
 def _path(time_s: Array, position: Array, velocity: Array, goal_m: Sequence[float] | None) -> Metrics:
     steps = np.diff(position[:, :2], axis=0)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
@@ -198,14 +209,16 @@ def _forces(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
     centre = np.array(facts.centre_of_mass_m)
     arms_O = np.array([facts.grasps_m[arm] for arm in facts.arms]) - centre
     grips = np.stack([trace[f"{arm}.grip"] for arm in facts.arms], axis=1)
-    internal = internal_forces(grips, np.einsum("tij,nj->tni", R_WO, arms_O))
+    here = np.isfinite(grips).all(axis=2)  # (rows, N): this robot was there
+    grips = np.where(here[:, :, None], grips, 0.0)
+    internal = _internal_of_those_who_hold(grips, np.einsum("tij,nj->tni", R_WO, arms_O))
     weight = facts.load_mass_kg * GRAVITY_M_S2
     pull = np.linalg.norm(trace["leader.force"], axis=1)
     led = facts.goal_m is not None
     return {
         "internal_force_rms_N": float(np.sqrt(np.mean(np.sum(internal[:, :, :3] ** 2, axis=2)))),
         "grip_force_max_N": float(np.linalg.norm(grips[:, :, :3], axis=2).max()),
-        "load_share": {arm: float(grips[:, k, 2].mean()) / weight for k, arm in enumerate(facts.arms)},
+        "load_share": {arm: float(grips[here[:, k], k, 2].mean()) / weight for k, arm in enumerate(facts.arms)},
         "leader_force_max_N": float(pull.max()) if led else None,
         "leader_impulse_Ns": float(np.trapezoid(pull, trace["time_s"])) if led else None,
     }
@@ -213,18 +226,20 @@ def _forces(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
 
 def _effort(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
     time_s = trace["time_s"]
-    tau = np.stack([trace[f"{arm}.tau"] for arm in facts.arms], axis=1)
+    tau = np.stack([trace[f"{arm}.tau"] for arm in facts.arms], axis=1)  # NaN while a robot is not there
     qd = np.stack([trace[f"{arm}.qd"] for arm in facts.arms], axis=1)
-    power = np.abs(tau * qd).sum(axis=(1, 2))
+    power = np.nansum(np.abs(tau * qd), axis=(1, 2))
     for arm in facts.arms:
         yaw = trace[f"{arm}.base"][:, 2]
         force, velocity = trace[f"{arm}.base_force"], trace[f"{arm}.base_velocity"]
         along = force[:, 0] * np.cos(yaw) - force[:, 1] * np.sin(yaw)
         across = force[:, 0] * np.sin(yaw) + force[:, 1] * np.cos(yaw)
-        power = power + np.abs(along * velocity[:, 0] + across * velocity[:, 1] + force[:, 2] * velocity[:, 2])
+        driven = np.abs(along * velocity[:, 0] + across * velocity[:, 1] + force[:, 2] * velocity[:, 2])
+        power = power + np.nan_to_num(driven)
+    there = tau[np.isfinite(tau)]
     return {
-        "torque_rms_Nm": _rms(tau),
-        "torque_limit_fraction": float((np.abs(tau) / np.array(facts.torque_max_Nm)).max()),
+        "torque_rms_Nm": _rms(there),
+        "torque_limit_fraction": float(np.nanmax(np.abs(tau) / np.array(facts.torque_max_Nm))),
         "energy_J": float(np.trapezoid(power, time_s)),
     }
 

@@ -51,6 +51,9 @@ class MujocoPlant:
         limits, base, arms = arm_limits(scenario.team.arm), scenario.base, list(world.arms.values())
         self._slipping: dict[str, BadGrasp] = {}
         self.hands = Grasping(world)
+        self.met: dict[str, ArmIds] = {}
+        """All robots that are or were there; of those that have gone only the strut and the differences still mean
+        anything."""
         self._bind(world)
         noise = scenario.plant
         sigma = np.repeat(
@@ -86,6 +89,7 @@ class MujocoPlant:
         self.world = world
         self._model, self._data = world.model, world.data
         arms = list(world.arms.values())
+        self.met |= world.arms
         self._names = list(world.arms)
         self._row = {name: row for row, name in enumerate(self._names)}
         self._arm_dofs = _indices([ids.arm_dof for ids in arms])

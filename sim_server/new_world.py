@@ -35,11 +35,12 @@ def carry_over(old: World, new: World) -> None:
 
 
 def stand_outside(world: World, arm: str) -> None:
-    """Put a robot with an empty hand straight behind its place at its strut."""
+    """Put a robot with an empty hand, in the starting posture, straight behind its place at its strut."""
     ids = world.arms[arm]
     X_WB = base_at_strut(world, ids.strut).compose(Pose.planar(-OUTSIDE_M, 0.0))
     world.data.eq_active[ids.weld] = 0
     world.data.qpos[ids.base_qpos] = X_WB.p[0], X_WB.p[1], X_WB.yaw
+    world.data.qpos[ids.arm_qpos] = world.q_home
 
 
 def _site(model: Any, strut: int) -> int:

@@ -16,7 +16,6 @@ from sim_server.lockstep import Ticker, Timings
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import Agent, Reception
 from sim_server.scenario_files import NamedScenario
-from sim_server.world import World
 from wire.arms.limits import arm_limits
 
 
@@ -48,9 +47,10 @@ def describe_run(
         "ended": {"completed": ending.completed, "why": ending.why, "ticks": plant.tick},
         "agents": describe_agents(reception),
         "strangers_refused": reception.strangers,
-        "facts": _facts(plant.world),
+        "facts": _facts(plant),
         "measured": _measured(plant.time_s, clock.timings, reception.refused(), ending.wall_s)
-        | clock.punctuality.describe(reception.agents),
+        | clock.punctuality.describe(reception.agents)
+        | ({"grasp_force_max_N": plant.hands.force_max_N} if plant.hands.force_max_N else {}),
     }
 
 
@@ -70,15 +70,16 @@ def _agent(agent: Agent) -> dict[str, Any]:
     }
 
 
-def _facts(world: World) -> dict[str, Any]:
+def _facts(plant: MujocoPlant) -> dict[str, Any]:
     """What the metrics need besides the trace, and how the arms differ from their description."""
+    world = plant.world
     scenario = world.scenario
     return {
-        "arms": list(scenario.arms),
+        "arms": list(plant.met),
         "goal_m": list(scenario.leader.goal_m) if scenario.leader else None,
         "load_mass_kg": world.load_mass,
         "centre_of_mass_m": world.load_com.tolist(),
-        "grasps_m": {name: world.struts[ids.strut].p.tolist() for name, ids in world.arms.items()},
+        "grasps_m": {name: world.struts[ids.strut].p.tolist() for name, ids in plant.met.items()},
         "torque_max_Nm": list(arm_limits(scenario.team.arm).torque_Nm),
         "differences": {
             name: {
@@ -86,7 +87,7 @@ def _facts(world: World) -> dict[str, Any]:
                 "joint_damping_Nms_rad": ids.differences.joint_damping.tolist(),
                 "joint_friction_Nm": ids.differences.joint_friction.tolist(),
             }
-            for name, ids in world.arms.items()
+            for name, ids in plant.met.items()
         },
     }
 

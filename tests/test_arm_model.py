@@ -129,6 +129,16 @@ def test_jacobian_is_the_rate_of_the_pose_and_jdot_the_rate_of_the_jacobian() ->
         np.testing.assert_allclose((after.J - before.J) / (2 * H), now.Jdot, rtol=0, atol=DIFFERENCE)
 
 
+def test_the_parts_are_those_of_a_snapshot_at_rest() -> None:
+    for q, _ in STATES:
+        whole = arm().snapshot(q, np.zeros(len(q)))
+        p, R, J = arm().hand(q)
+        np.testing.assert_array_equal(p, whole.p_BE)
+        np.testing.assert_array_equal(R, whole.R_BE)
+        np.testing.assert_allclose(J, whole.J, rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(arm().gravity(q), whole.g)
+
+
 def test_a_snapshot_does_not_change_when_the_next_is_taken() -> None:
     (q, qd), (q2, qd2) = STATES[:2]
     first = arm().snapshot(q, qd)

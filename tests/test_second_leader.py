@@ -33,7 +33,7 @@ from wire.keys import Keys
 from wire.messages import End, LeaderForce, LeaderView, Message, Progress, Refusal, Welcome
 from wire.zenoh_link import open_client
 
-WELCOME = Welcome(7, "lock-step", 10_000_000, {"front": (0.8, 0.0, 0.7)}, 40.0)
+WELCOME = Welcome(7, "lock-step", 10_000_000, {"front": (0.8, 0.0, 0.7)}, 40.0, 0.0, (0.0,) * 7)
 TAKEN = Refusal(Reason.TAKEN, "one instance at a time")
 LOST = encode(End("lost", "20 ticks without an answer"))
 
