@@ -37,6 +37,10 @@ PATIENCE_S = 120.0
 SETTLED_S = 1.0
 """Wall time of carrying before the fault."""
 SHOWN_ROUNDS = (1, 10, 20, 30, 40, 50)
+BEFORE_ROUNDS_S = 1.25
+"""Simulated time before the first round: by then a whole block of the trace has been filled and written for the first
+time, which takes 25 MB for good."""
+EVERY_TICK = "[record]\nevery_ticks = 1\n"
 
 LIGHT = """
 extends = "transport"
@@ -234,7 +238,7 @@ def lose_one(cwd: Path, fault: Fault, clock: str) -> Seen:
         fault_at = float(said.partition("fault at ")[2].split()[0])
     return Seen(
         lost[0] if lost else None,
-        1e3 * (seen_at - fault_at),
+        1e3 * (seen_at - fault_at) if lost else float("nan"),
         metrics["age_max_ticks"],
         metrics["missed_in_row_max"],
     )
@@ -301,11 +305,13 @@ def held_over_rounds(
 ) -> tuple[dict[int, Held], list[str]]:
     """What the simulator holds after each round of two events, one round per 0.1 s, and who is left at the end."""
     events = "".join(
-        f'[[events]]\nat_s = {0.05 + 0.1 * k + apart_s * half:.2f}\nkind = "{kind}"\nagent = "a2"\n'
+        f'[[events]]\nat_s = {BEFORE_ROUNDS_S + 0.1 * k + apart_s * half:.2f}\nkind = "{kind}"\nagent = "a2"\n'
         for k in range(rounds)
         for half, kind in enumerate(kinds)
     )
-    (cwd / "rounds.toml").write_text(LIGHT.format(duration_s=0.1 * rounds + 1.0) + events)
+    (cwd / "rounds.toml").write_text(
+        LIGHT.format(duration_s=BEFORE_ROUNDS_S + 0.1 * rounds + 1.0) + EVERY_TICK + events
+    )
     folder, held, family = cwd / "run", dict[int, Held](), dict[int, psutil.Process]()
     with process(cwd, "run", "run", "rounds.toml", "--out", folder) as command:
         root = psutil.Process(command.pid)
