@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sim_server.durations import Durations
 from sim_server.plant import Plant
 from sim_server.punctuality import Punctuality
 from sim_server.reception import LEADER, Agent, Arrived, Reception, Report
@@ -25,17 +26,30 @@ from wire.messages import Command, Done, End, LeaderForce, LeaderView, Order, St
 
 @dataclass(slots=True)
 class Timings:
-    """Wall time of every tick by part, in ns, and of the controllers' steps as they report them."""
+    """Wall time of the ticks by part, in ns, and of the controllers' steps as they report them."""
 
-    send: list[int] = field(default_factory=list)
+    send: Durations = field(default_factory=Durations)
     """Read the sensors, encode and publish all states."""
-    wait: list[int] = field(default_factory=list)
+    wait: Durations = field(default_factory=Durations)
     """Wait for, decode and check all commands."""
-    step: list[int] = field(default_factory=list)
+    step: Durations = field(default_factory=Durations)
     """Motor drivers and physics."""
-    record: list[int] = field(default_factory=list)
+    record: Durations = field(default_factory=Durations)
     """Trace and progress."""
-    controller: list[int] = field(default_factory=list)
+    tick: Durations = field(default_factory=Durations)
+    """All four."""
+    controller: Durations = field(default_factory=Durations)
+    begun: tuple[int, int] = (0, 0)
+    """What sending and waiting took in the tick that goes on."""
+
+    def end_tick(self, step: int, record: int) -> None:
+        """The tick that goes on is over; these were its last two parts."""
+        send, wait = self.begun
+        self.send.append(send)
+        self.wait.append(wait)
+        self.step.append(step)
+        self.record.append(record)
+        self.tick.append(send + wait + step + record)
 
 
 class Stopped(Exception):
@@ -90,8 +104,7 @@ class Ticker(ABC):
         sent = time.perf_counter_ns()
         self._gather(tick)
         done = time.perf_counter_ns()
-        self.timings.send.append(sent - start)
-        self.timings.wait.append(done - sent)
+        self.timings.begun = (sent - start, done - sent)
 
     def admit(self) -> None:
         """Let those in whose links are up; an arm that was lost or left before is driven again."""

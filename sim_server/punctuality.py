@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
+from sim_server.durations import Durations
 from sim_server.reception import LEADER, Agent
 
 LATE_UP_TO_US = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
@@ -23,8 +22,10 @@ class Punctuality:
     ages: dict[str, Counter[int]] = field(default_factory=dict)
     """Per agent: in how many ticks the command in force was that old. The age is the number of ticks from the state
     that it answers to the tick that it acts in: 0 is in time."""
-    late_ns: list[int] = field(default_factory=list)
-    """How late each tick began, by the wall clock."""
+    late: Durations = field(default_factory=Durations)
+    """How late the ticks began, by the wall clock."""
+    late_edges: Counter[int] = field(default_factory=Counter)
+    """The same, by the first of the edges above that it does not pass."""
     oldest: int = 0
     """The greatest age so far, of an arm's command."""
     slowed_ns: int = 0
@@ -36,11 +37,16 @@ class Punctuality:
         if name != LEADER:
             self.oldest = max(self.oldest, age)
 
+    def note_late(self, late_ns: int) -> None:
+        """A tick of the real-time clock began so late."""
+        self.late.append(late_ns)
+        self.late_edges[bisect_left(LATE_UP_TO_US, late_ns / 1e3)] += 1
+
     def describe(self, agents: Mapping[str, Agent]) -> dict[str, Any]:
         """Everything for run.json; the histograms only in real time."""
         arms = [agent.link for name, agent in agents.items() if name != LEADER]
         sent = sum(link.states_sent for link in arms)
-        in_real_time = bool(self.late_ns)
+        in_real_time = bool(self.late)
         found: dict[str, Any] = {
             "missed_percent": 100.0 * sum(link.missed for link in arms) / sent if sent else 0.0,
             "missed_in_row_max": max((link.longest_miss for link in arms), default=0),
@@ -48,21 +54,15 @@ class Punctuality:
             "slowed_s": 1e-9 * self.slowed_ns if in_real_time else None,
         }
         if in_real_time:
-            late_us = np.array(self.late_ns) / 1e3
             found |= {
                 "missed_ticks": {name: agent.link.missed for name, agent in agents.items()},
                 "age_ticks": {name: {str(age): ages[age] for age in sorted(ages)} for name, ages in self.ages.items()},
-                "tick_late_us": {
-                    "p50": float(np.percentile(late_us, 50)),
-                    "p99": float(np.percentile(late_us, 99)),
-                    "max": float(late_us.max()),
-                },
+                "tick_late_us": {**self.late.spread_us(), "max": self.late.max_ns / 1e3},
                 "tick_late_histogram_us": self._late_histogram(),
             }
         return found
 
     def _late_histogram(self) -> dict[str, int]:
         """Ticks by how late they began: ``"50"`` counts those above the edge before it and up to 50 us."""
-        found = Counter(bisect_left(LATE_UP_TO_US, late / 1e3) for late in self.late_ns)
         edges = [*(str(edge) for edge in LATE_UP_TO_US), "more"]
-        return {edge: found[k] for k, edge in enumerate(edges)}
+        return {edge: self.late_edges[k] for k, edge in enumerate(edges)}

@@ -103,7 +103,7 @@ class RealTime(Ticker):
             self._due_ns += self._period_ns
             self._wall.sleep_until(self._due_ns)
         late = max(0, self._wall.now_ns() - self._due_ns)
-        self.punctuality.late_ns.append(late)
+        self.punctuality.note_late(late)
         if late > MOST_BEHIND * self._period_ns:
             self._slow_down(tick, late)
 

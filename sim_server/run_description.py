@@ -10,8 +10,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sim_server.lockstep import Ticker, Timings
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import Agent, Reception
@@ -94,31 +92,15 @@ def _facts(plant: MujocoPlant) -> dict[str, Any]:
 
 def _measured(simulated_s: float, timings: Timings, refused: int, wall_s: float) -> dict[str, Any]:
     """What only the running system knows: wall times and refusals."""
-    ticks = len(timings.record)
-    parts = {
-        name: np.array(times[:ticks], dtype=float) / 1e3
-        for name, times in (
-            ("send", timings.send),
-            ("wait", timings.wait),
-            ("step", timings.step),
-            ("record", timings.record),
-        )
-    }
+    parts = {"send": timings.send, "wait": timings.wait, "step": timings.step, "record": timings.record}
     return {
         "real_time_factor": simulated_s / wall_s if wall_s > 0 else 0.0,
         "wall_s": wall_s,
-        "tick_us": _spread(sum(parts.values(), np.zeros(ticks))),
-        "controller_us": _spread(np.array(timings.controller, dtype=float) / 1e3),
-        "tick_parts_us": {name: _spread(values) for name, values in parts.items()},
+        "tick_us": timings.tick.spread_us(),
+        "controller_us": timings.controller.spread_us(),
+        "tick_parts_us": {name: times.spread_us() for name, times in parts.items()},
         "refused_messages": refused,
     }
-
-
-def _spread(values: Any) -> dict[str, float]:
-    """Median and 99th percentile."""
-    if len(values) == 0:
-        return {"p50": 0.0, "p99": 0.0}
-    return {"p50": float(np.percentile(values, 50)), "p99": float(np.percentile(values, 99))}
 
 
 def versions() -> dict[str, str | None]:

@@ -224,8 +224,7 @@ class Server:
                     trace.append(plant.force_row(before))
                 if time.monotonic() - self._last_progress > PROGRESS_S:
                     self._publish_progress("running", "")
-                clock.timings.step.append(stepped - stepping)
-                clock.timings.record.append(time.perf_counter_ns() - stepped)
+                clock.timings.end_tick(stepped - stepping, time.perf_counter_ns() - stepped)
         except Stopped:
             return False, "stopped by the operator"
         except (PlantFailed, Undone) as failure:

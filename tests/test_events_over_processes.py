@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import signal
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from processes import free_port, launched, read_events, read_json, started, wait_until
 
@@ -64,6 +65,8 @@ class Told:
     status: int
     said: str
     left_over: list[str]
+    held: list[tuple[int, int, int]]
+    """Restarts of a2 so far, and the simulator's descriptors and threads at some moments after them."""
 
     def events(self, kind: str) -> list[dict[str, Any]]:
         return [event for event in read_events(self.folder) if event["kind"] == kind]
@@ -79,14 +82,19 @@ class Told:
 def tell(cwd: Path) -> Told:
     with launched(str(scenario_file(cwd, STORY)), cwd, {}) as run:
         run.command.wait_until(lambda: run.has("started"), "the start")
+        sim = next(each for each in run.command.look().values() if "sim" in each.cmdline())
+        held: list[tuple[int, int, int]] = []
 
         def ended() -> bool:
             run.command.look()  # whoever is restarted must be seen, to be missed afterwards
+            starts = [event for event in run.events() if (event["kind"], event.get("event")) == ("seen", "start")]
+            with suppress(psutil.NoSuchProcess):
+                held.append((len(starts), sim.num_fds(), sim.num_threads()))
             return run.command.process.poll() is not None
 
         wait_until(ended, "the end")
         status = run.command.end()
-        return Told(run.folder, status, run.command.said(), run.command.survivors())
+        return Told(run.folder, status, run.command.said(), run.command.survivors(), held)
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +147,16 @@ def test_every_instance_has_its_own_log_and_none_is_left_over(told: Told) -> Non
     again = {f"a2.{k}.log" for k in range(2, ROUNDS + 3)}
     assert logs == {"sim.log", "a1.log", "a2.log", "leader.log", "leader.2.log"} | again
     assert told.left_over == []
+
+
+def test_rounds_of_kill_and_start_leave_nothing_in_the_simulator(told: Told) -> None:
+    """The clock stands for a second or more in every start, so that each round is seen many times while a2 is away."""
+    descriptors, threads = (
+        [min(each[what] for each in told.held if each[0] == starts) for starts in range(ROUNDS)] for what in (1, 2)
+    )
+    assert descriptors == [descriptors[0]] * ROUNDS
+    # Zenoh keeps a thread more or less for its blocking calls; one for every round would be ROUNDS - 1.
+    assert threads[-1] - threads[0] < ROUNDS - 1
 
 
 def test_the_same_story_is_the_same_bytes(told: Told, tmp_path: Path) -> None:
