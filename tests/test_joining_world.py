@@ -116,7 +116,7 @@ def reach(plant: MujocoPlant, *, push_at: int = -1, seconds: float = 12.0) -> No
     raise AssertionError(f"it is still about to {doing.phase}")
 
 
-def test_a_reach_by_own_senses_takes_hold_where_the_hand_is_without_a_snap() -> None:
+def test_a_reach_by_own_senses_takes_hold_where_the_hand_is_without_a_snap_and_again() -> None:
     plant = braked()
     exchange(plant, {**SEATS, "a4": 3})
     before = load_pose(plant.world)
@@ -129,6 +129,15 @@ def test_a_reach_by_own_senses_takes_hold_where_the_hand_is_without_a_snap() -> 
     (closed,) = plant.hands.grasped
     # A weld switched on across a gap of 1 mm pulls with 2 kN.
     assert 0.0 < closed.force_max_N < 60.0
+    assert np.linalg.norm(load_pose(plant.world).p - before.p) < 2e-3
+    # It lets go, draws back, and takes hold again: where it stands now, by what it is told now.
+    plant.slip("a4")
+    for _ in range(2500):
+        plant.read()
+        plant.step()
+    assert plant.hands.is_empty("a4")
+    reach(plant)
+    assert plant.hands.is_held(3)
     assert np.linalg.norm(load_pose(plant.world).p - before.p) < 2e-3
 
 
