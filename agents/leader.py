@@ -5,15 +5,16 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import AgentError
-from agents.session import AgentSession, RunEnded, here
+from agents.session import AgentSession, RunEnded, SimulatorGone, here
 from wire.keys import Keys
 from wire.link import Link
-from wire.messages import Hello, LeaderForce, LeaderView
+from wire.messages import Hello, LeaderForce, LeaderView, Welcome
 
 log = logging.getLogger("palanquin.leader")
 Array = NDArray[np.float64]
@@ -38,6 +39,8 @@ class LeaderSettings:
     point: str = "front"
     """Name of the point of the load that is pulled."""
     join_timeout_s: float = 30.0
+    reconnect_s: float = 0.0
+    """Wall time to wait for a simulator that is gone to come back; 0: end when it goes."""
 
     def __post_init__(self) -> None:
         for what, value in (
@@ -106,6 +109,23 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
         link, keys.leader, keys.sim_alive, Hello("leader", settings.run, "leader", "", "", pid, host)
     )
     welcome = session.join(settings.join_timeout_s)
+    try:
+        while True:
+            try:
+                _lead(session, settings, welcome)
+            except SimulatorGone:
+                if not settings.reconnect_s:
+                    raise
+                welcome = session.rejoin(settings.reconnect_s)
+    except RunEnded as ended:
+        return str(ended)
+    except KeyboardInterrupt:
+        session.leave()
+        return "interrupted"
+
+
+def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> NoReturn:
+    """Pull at every view."""
     if settings.point not in welcome.points:
         session.leave()
         raise AgentError(
@@ -115,14 +135,8 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
     settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
     receive = session.receive_newest if welcome.clock == "real-time" else session.receive
     log.info("leader: joined, pulling %s towards %s", settings.point, settings.goal_m)
-    try:
-        while True:
-            view = receive(1.0)
-            if isinstance(view, LeaderView):
-                force = pull(view, point_O, settings)
-                session.send(LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist())))
-    except RunEnded as ended:
-        return str(ended)
-    except KeyboardInterrupt:
-        session.leave()
-        return "interrupted"
+    while True:
+        view = receive(1.0)
+        if isinstance(view, LeaderView):
+            force = pull(view, point_O, settings)
+            session.send(LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist())))

@@ -104,7 +104,8 @@ class Launcher:
         if self._scenario.leader is not None:
             agents[Role.LEADER] = ["leader", *leader_arguments(self._scenario)]
         for name, arguments in agents.items():
-            self._agents[str(name)] = [*arguments, *common, "--connect", self._endpoint]
+            # Who restarts a simulator here is nobody: without it the run is over.
+            self._agents[str(name)] = [*arguments, *common, "--connect", self._endpoint, "--reconnect-s", "0"]
             self._start_agent(str(name))
 
     def _start_agent(self, name: str) -> None:

@@ -15,6 +15,7 @@ from sim_server.errors import SimError
 from sim_server.lockstep import Ticker
 from sim_server.reception import Reception, Report
 from sim_server.scenario_events import FailGrasp, ProcessEvent, in_order
+from sim_server.snapshot import Snapshot, SnapshotError
 from wire.codec import encode
 from wire.lifecycle import Phase
 from wire.link import Publisher
@@ -90,6 +91,19 @@ class Happenings:
             else:
                 self._report("ordered", event=event.kind, agent=event.agent)
                 self._report("seen", event=event.kind, agent=event.agent, effect=self._do(event))
+
+    def state(self) -> Snapshot:
+        """How many events are still to come, the hands that will slip off, and the number of the last deed."""
+        return {"due": len(self._due), "slips": [list(slip) for slip in self._slips], "number": self._number}
+
+    def restore(self, saved: Snapshot) -> None:
+        """Only what was still to come will happen."""
+        due = int(saved["due"])
+        if not 0 <= due <= len(self._due):
+            raise SnapshotError(f"events: got {due} to come, expected at most {len(self._due)}")
+        self._due = self._due[len(self._due) - due :]
+        self._slips = [(int(tick), str(arm)) for tick, arm in saved["slips"]]
+        self._number = int(saved["number"])
 
     def _do(self, event: ProcessEvent) -> str:
         """Have it done; what was seen of it."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sim_server.reception import LEADER, Agent
+from sim_server.snapshot import Snapshot
 
 LATE_UP_TO_US = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
 """Upper edges of the histogram of late starts."""
@@ -60,6 +61,19 @@ class Punctuality:
                 "tick_late_histogram_us": self._late_histogram(),
             }
         return found
+
+    def state(self) -> Snapshot:
+        """All but the late starts, which are kept with the other wall times of ticks."""
+        return {
+            "ages": {name: sorted(ages.items()) for name, ages in self.ages.items()},
+            "oldest": self.oldest,
+            "slowed_ns": self.slowed_ns,
+        }
+
+    def restore(self, saved: Snapshot) -> None:
+        """Note on from there."""
+        self.ages = {name: Counter({int(age): int(n) for age, n in ages}) for name, ages in saved["ages"].items()}
+        self.oldest, self.slowed_ns = int(saved["oldest"]), int(saved["slowed_ns"])
 
     def _late_histogram(self) -> dict[str, int]:
         """Ticks by how late they began: ``"50"`` counts those above the edge before it and up to 50 us."""
