@@ -7,6 +7,7 @@ anybody's. It may share memory with its owner: make bytes of it before the owner
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any
 
 import msgpack
@@ -53,7 +54,12 @@ def _unpack_array(code: int, data: bytes) -> NDArray[np.float64]:
     unpacker = msgpack.Unpacker()
     unpacker.feed(data)
     shape = unpacker.unpack()
-    return np.frombuffer(data[unpacker.tell() :], "<f8").reshape(shape).astype(np.float64)
+    numbers = data[unpacker.tell() :]
+    if not isinstance(shape, list) or not all(isinstance(n, int) and n >= 0 for n in shape):
+        raise ValueError("an array without a shape")
+    if 8 * prod(shape) != len(numbers):
+        raise ValueError(f"an array of shape {shape} with {len(numbers)} bytes")
+    return np.frombuffer(numbers, "<f8").reshape(shape).astype(np.float64)
 
 
 def fill(target: NDArray[Any], saved: object) -> None:
