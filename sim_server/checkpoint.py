@@ -10,11 +10,12 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sim_server.checkpoint_file import FOLDER, WALL_TIMES, Checkpoint, versions, write_checkpoint
+from sim_server.checkpoint_file import FOLDER, WALL_TIMES, Checkpoint, last_checkpoint, versions, write_checkpoint
 from sim_server.happenings import Happenings
 from sim_server.lockstep import Ticker
 from sim_server.mujoco_plant import MujocoPlant
@@ -85,19 +86,21 @@ class Checkpoints:
         )
         self.story = Story()
         self._took_ns: list[int] = []
-        self._bytes = 0
+        self._last: Path | None = None
 
     def is_due(self, tick: int) -> bool:
         """Whether one is to be written before this tick."""
         return self._every > 0 and tick % self._every == 0
 
     def write(self, trace: TraceWriter, wall_s: float) -> None:
-        """Replace the last checkpoint by one of this moment, between two ticks."""
+        """Put a checkpoint of this moment, between two ticks, in the place of the last one."""
         start = time.perf_counter_ns()
-        (self._folder.path / FOLDER).mkdir(exist_ok=True)
+        if self._last is None:
+            (self._folder.path / FOLDER).mkdir(exist_ok=True)
         owners, story = self._owners, self.story
-        self._bytes = write_checkpoint(
+        self._last = write_checkpoint(
             self._folder.path,
+            owners.plant.tick,
             {
                 **self._about,
                 "started_at": story.started_at.isoformat(),
@@ -112,6 +115,7 @@ class Checkpoints:
                 "punctuality": owners.clock.punctuality.state(),
                 "happenings": owners.happenings.state(),
             },
+            self._last,
         )
         self._took_ns.append(time.perf_counter_ns() - start)
 
@@ -122,6 +126,7 @@ class Checkpoints:
             CheckpointError: its content does not fit.
         """
         content, owners = checkpoint.content, self._owners
+        self._last = last_checkpoint(checkpoint.folder)
         with checkpoint.taking_back():
             owners.plant.restore(content["plant"])
             owners.reception.restore(content["agents"])
@@ -141,7 +146,7 @@ class Checkpoints:
         took_ms = np.array(self._took_ns or [0]) / 1e6
         return {
             "written": len(self._took_ns),
-            "bytes": self._bytes,
+            "bytes": self._last.stat().st_size if self._last else 0,
             "ms": {"p50": float(np.percentile(took_ms, 50)), "max": float(took_ms.max())},
         }
 

@@ -1,6 +1,8 @@
 """A run's checkpoint as a file: written whole or not at all, checked when it is read, never run as code.
 
-``RUN/checkpoint/latest`` is a line ``palanquin checkpoint <version> <SHA-256 of the rest>``, then a snapshot.
+``RUN/checkpoint/<tick>.state`` is a line ``palanquin checkpoint <version> <SHA-256 of the rest>``, then a snapshot.
+Each has a name of its own, since a file system may write the new one to the disk before it lets go of an old one of
+that name, and that takes up to tens of milliseconds (ext4).
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from sim_server.scenario_files import NamedScenario
 from sim_server.snapshot import Snapshot, pack, unpack
 from wire.errors import Refused
 
-FOLDER, LATEST, WALL_TIMES = "checkpoint", "latest", "wall-times"
+FOLDER, STATE, WALL_TIMES = "checkpoint", ".state", "wall-times"
 VERSION = 1
 """Of what is in it; any change of a ``state()`` raises it."""
 HEAD = "palanquin checkpoint"
@@ -57,14 +59,21 @@ def versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in MUST_BE_EQUAL}
 
 
-def write_checkpoint(folder: Path, content: Snapshot) -> int:
-    """Replace the last checkpoint; the number of bytes. A process that is killed leaves the old one or the new one."""
+def write_checkpoint(folder: Path, tick: int, content: Snapshot, before: Path | None) -> Path:
+    """Put a checkpoint in the place of the one ``before``; its file. A process that is killed leaves one or both."""
     body = pack(content)
-    part = folder / FOLDER / f"{LATEST}.part"
-    head = f"{HEAD} {VERSION} {hashlib.sha256(body).hexdigest()}\n".encode()
-    part.write_bytes(head + body)
-    os.replace(part, folder / FOLDER / LATEST)
-    return len(head) + len(body)
+    file = folder / FOLDER / f"{tick:010}{STATE}"
+    part = file.with_suffix(".part")
+    part.write_bytes(f"{HEAD} {VERSION} {hashlib.sha256(body).hexdigest()}\n".encode() + body)
+    os.replace(part, file)
+    if before is not None and before != file:
+        before.unlink(missing_ok=True)
+    return file
+
+
+def last_checkpoint(folder: Path) -> Path | None:
+    """The file of the last checkpoint in a run folder."""
+    return max((folder / FOLDER).glob(f"*{STATE}"), default=None)
 
 
 def read_checkpoint(folder: Path) -> Checkpoint:
@@ -83,15 +92,16 @@ def read_checkpoint(folder: Path) -> Checkpoint:
         raise CheckpointError(
             f"--resume {folder}: this run has ended in order ({why}): there is nothing to go on with; start it anew"
         )
-    try:
-        data = (folder / FOLDER / LATEST).read_bytes()
-    except FileNotFoundError:
+    file = last_checkpoint(folder)
+    if file is None:
         raise CheckpointError(
-            f"--resume {folder}: no checkpoint in it: expected {FOLDER}/{LATEST}, which a simulator writes at its "
+            f"--resume {folder}: no checkpoint in it: expected {FOLDER}/<tick>{STATE}, which a simulator writes at its "
             "first tick and then every record.checkpoint_s of simulated time (0: never); start the run anew"
-        ) from None
+        )
+    try:
+        data = file.read_bytes()
     except OSError as error:
-        raise CheckpointError(f"--resume {folder}: {FOLDER}/{LATEST} cannot be read: {error.strerror}") from None
+        raise CheckpointError(f"--resume {folder}: {file} cannot be read: {error.strerror}") from None
     return _checked(folder, *_head_and_body(folder, data))
 
 
@@ -129,6 +139,6 @@ def _checked(folder: Path, version: str, digest: str, body: bytes) -> Checkpoint
 
 def _spoiled(folder: Path, problem: str) -> str:
     return (
-        f"--resume {folder}: {FOLDER}/{LATEST} is spoiled or of another program ({' '.join(problem.split())}): the run "
-        "cannot go on from it; start it anew"
+        f"--resume {folder}: the last checkpoint in {FOLDER}/ is spoiled or of another program "
+        f"({' '.join(problem.split())}): the run cannot go on from it; start it anew"
     )

@@ -36,6 +36,9 @@ TICKS, EVERY, KILLED_AT = 90, 20, 71
 SHORT: Mapping[str, Any] = {"duration_s": TICKS / 1000, "record": {"every_ticks": 1, "checkpoint_s": EVERY / 1000}}
 
 
+STATE = "checkpoint/0000000060.state"
+
+
 class Killed(BaseException):
     """The simulator's end in the middle of a tick: nobody catches it, nothing more is written."""
 
@@ -153,7 +156,7 @@ def test_a_plant_does_not_take_the_state_of_another_world() -> None:
 
 def test_a_run_that_was_killed_goes_on_to_its_end_and_leaves_one_whole_folder(copy: Path, tmp_path: Path) -> None:
     assert sorted(files(copy)) == [
-        "checkpoint/latest",
+        "checkpoint/0000000060.state",
         "checkpoint/wall-times",
         "events.jsonl",
         "trace.parts/0001.rows",
@@ -293,7 +296,7 @@ def rewrite(folder: Path, change: Mapping[str, Any]) -> None:
     content = {**read_checkpoint(folder).content, **change}
     body = pack(content)
     head = f"{checkpoint_file.HEAD} {checkpoint_file.VERSION} {hashlib.sha256(body).hexdigest()}\n"
-    (folder / "checkpoint" / "latest").write_bytes(head.encode() + body)
+    (folder / STATE).write_bytes(head.encode() + body)
 
 
 def test_no_such_run_and_no_checkpoint(tmp_path: Path) -> None:
@@ -308,7 +311,7 @@ def test_a_run_that_has_ended(tmp_path: Path) -> None:
 
 
 def test_another_version(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    latest = copy / "checkpoint" / "latest"
+    latest = copy / STATE
     data = latest.read_bytes()
     latest.write_bytes(data.replace(b"checkpoint 1 ", b"checkpoint 7 ", 1))
     assert "version 7, expected 1" in refused(copy)
@@ -319,7 +322,7 @@ def test_another_version(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("how", ["cut", "flipped", "empty", "another file"])
 def test_a_spoiled_file(copy: Path, how: str) -> None:
-    latest = copy / "checkpoint" / "latest"
+    latest = copy / STATE
     data = bytearray(latest.read_bytes())
     data[-100] ^= 1
     spoiled = {"cut": bytes(data[:500]), "flipped": bytes(data), "empty": b"", "another file": b"PAR1\n\x00\n" * 9}

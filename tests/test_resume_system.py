@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from processes import Started, free_port, read_events, read_json, run_to_end, settings, started, wait_until
 
-from sim_server.checkpoint_file import read_checkpoint
+from sim_server.checkpoint_file import last_checkpoint
 from sim_server.trace import read_trace
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
@@ -39,6 +39,12 @@ def serve(cwd: Path, address: str, *what: str) -> tuple[str, ...]:
     return ("sim", *what, "--listen", address, "--credentials", str(cwd / "team" / "sim"))
 
 
+def tick_of(folder: Path) -> int:
+    """Of the last checkpoint; -1 before the first."""
+    last = last_checkpoint(folder)
+    return int(last.stem) if last else -1
+
+
 @dataclass
 class Killed:
     """A run whose simulator was killed and started again, and two copies of its folder from between."""
@@ -62,11 +68,10 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
         command = serve(cwd, address, "transport", "--run", RUN, "--out", str(folder), *settings(VALUES))
         sim = stack.enter_context(started(*command, cwd=cwd, name="sim"))
         agents = stack.enter_context(team(cwd, address, "first"))
-        latest = folder / "checkpoint" / "latest"
-        sim.wait_until(lambda: latest.exists() and read_checkpoint(folder).content["plant"]["tick"] >= 750, "0.75 s")
+        sim.wait_until(lambda: tick_of(folder) >= 750, "the checkpoint at 0.75 s")
         sim.process.send_signal(signal.SIGKILL)
         assert sim.end() == -signal.SIGKILL
-        tick = int(read_checkpoint(folder).content["plant"]["tick"])
+        tick = tick_of(folder)
         copy, spare = (Path(shutil.copytree(folder, cwd / name)) for name in ("copy", "spare"))
         wait_until(lambda: all("is gone" in agent.said() for agent in agents.values()), "the agents to notice")
         command = serve(cwd, address, "--resume", str(folder))
