@@ -183,6 +183,7 @@ class Server:
         Raises:
             NobodyCame: not all agents were there in time; nothing but the events is left.
         """
+        is_over = self._trace is None  # a run that has not been gone on with is not over: its agents may wait on
         try:
             try:
                 self._wait_for_agents()
@@ -192,11 +193,12 @@ class Server:
                     if self._trace is None
                     else "stopped before the run went on: it stands where it stood"
                 ) from None
+            is_over = True
             with self._auditor.connections.watching():
                 completed, why = self._run_ticks()
             return self._conclude(completed, why)
         finally:
-            if not self._auditor.hangs:
+            if is_over and not self._auditor.hangs:
                 self._say_end("the run is over")
             self._checkpoints.close()
             self._folder.close()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bench import RUN, MemoryAgent
-from plants import NO_STIFFNESS, plant_of, scenario
+from plants import plant_of, scenario
 from processes import read_events, read_json
 
 from agents.follower import Follower, FollowerSettings
@@ -36,6 +36,7 @@ TICKS, EVERY, KILLED_AT = 90, 20, 71
 SHORT: Mapping[str, Any] = {"duration_s": TICKS / 1000, "record": {"every_ticks": 1, "checkpoint_s": EVERY / 1000}}
 
 
+STIFFNESS = np.arange(7.0)
 STATE = "checkpoint/0000000060.state"
 
 
@@ -114,13 +115,15 @@ def drive(plant: MujocoPlant, ticks: int, arms: tuple[str, ...]) -> np.ndarray[A
     """Rows of so many ticks, in which these arms hold their torque and wobble; the noise goes into the commands."""
     rows = []
     for _ in range(ticks):
-        for arm, reading in plant.read().items():
+        readings = plant.read()
+        for arm, reading in readings.items():
             if arm in arms:
-                plant.command(arm, np.array(reading.tau) + 0.1 * np.sin(plant.tick), (1.0, 2.0, 0.1), NO_STIFFNESS)
+                plant.command(arm, np.array(reading.tau) + 0.1 * np.sin(plant.tick), (1.0, 2.0, 0.1), STIFFNESS)
         plant.pull("front", np.array([10.0 * np.sin(0.01 * plant.tick), 1.0, 0.0]))
         before = plant.state_row()
         plant.step()
-        rows.append(np.concatenate([part.ravel() for part in plant.force_row(before)]))
+        felt = [np.array(reading.qd + reading.wrench) for reading in readings.values()]
+        rows.append(np.concatenate([*felt, *(part.ravel() for part in plant.force_row(before))]))
     return np.array(rows)
 
 
@@ -139,6 +142,7 @@ def test_two_plants_of_one_state_go_on_equally_number_for_number() -> None:
     other.restore(unpack(saved))
     assert pack(other.state()) == saved
     assert plant.opened == ["a1"]
+    np.testing.assert_array_equal(drive(plant, 2, ()), drive(other, 2, ()))  # everybody misses two ticks
     np.testing.assert_array_equal(drive(plant, 300, ("a2",)), drive(other, 300, ("a2",)))
     assert plant.opened == ["a1", "a4"]
     for each in (plant, other):
@@ -229,6 +233,19 @@ def test_a_run_can_be_killed_again_also_before_its_next_checkpoint(copy: Path, k
     np.testing.assert_array_equal(first[:80], again[:80])
 
 
+def test_a_run_can_be_killed_while_it_ends(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def die(*_: object) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patched:
+        patched.setattr("sim_server.server.describe_run", die)
+        assert go_on(copy)[0] is None
+    assert (copy / "trace.parquet").exists()
+    assert go_on(copy)[0] is not None
+    np.testing.assert_array_equal(read_trace(copy / "trace.parquet")["tick"], np.arange(TICKS))
+    assert [resumed["tick"] for resumed in read_json(copy / "run.json")["resumed"]] == [60, 80]
+
+
 def test_what_happened_after_the_checkpoint_stays_in_the_events_and_is_marked(copy: Path) -> None:
     with (copy / "events.jsonl").open("a") as events:
         events.write('{"tick": 70, "time_s": 0.07, "kind": "missed", "agent": "a1"}\n{"tick": 71, "ki')
@@ -259,8 +276,13 @@ def test_who_was_in_is_waited_for_and_a_run_that_nobody_comes_back_to_stands_whe
     named = load_scenario(
         "transport", {**checkpoint.named.scenario.model_dump(mode="json"), "clock": {"start_timeout_s": 0.05}}
     )
-    with pytest.raises(NobodyCame, match="a1, a2, leader"):
-        Server(Broker().link(), named, RUN, RunFolder.of_a_run(copy), checkpoint=checkpoint).run()
+    broker = Broker()
+    server = Server(broker.link(), named, RUN, RunFolder.of_a_run(copy), checkpoint=checkpoint)
+    a1, a2, _ = team(broker, named.scenario, None)
+    a2.link.close()
+    with pytest.raises(NobodyCame, match="for a2: not there"):
+        server.run()
+    assert a1.ended == ""  # so it waits for the next simulator
     after = files(copy)
     changed = {name for name in after if before.get(name) != after[name]}
     assert changed <= {"events.jsonl", "trace.parts/0001.rows"}
