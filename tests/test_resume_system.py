@@ -151,7 +151,7 @@ def test_agents_end_when_the_simulator_does_not_come_back_in_the_time_they_were_
         follower = stack.enter_context(started(*patient, cwd=tmp_path, name="follower"))
         at_once = ("leader", "--goal-m", "1", "0", *connect, "--reconnect-s", "0")
         leader = stack.enter_context(started(*at_once, cwd=tmp_path, name="leader"))
-        sim.wait_until(lambda: any(e["kind"] == "started" for e in read_events(tmp_path / "run")), "the start")
+        sim.wait_until(lambda: tick_of(tmp_path / "run") >= 0, "the first checkpoint")
         sim.process.send_signal(signal.SIGKILL)
         assert follower.end() == 3
         assert "has not come back within 0.3 s" in follower.said().splitlines()[-1]
