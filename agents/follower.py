@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from agents.controllers import make_controller
 from agents.controllers.interface import Sensed
 from agents.reach import Reach
 from agents.safety import CheckedEffort, SafeController, hold_effort
-from agents.session import AgentSession, RunEnded, here
+from agents.session import AgentSession, RunEnded, SimulatorGone, here
 from wire.errors import Reason, Refused
 from wire.keys import Keys
 from wire.link import Link
@@ -37,6 +38,8 @@ class FollowerSettings:
     join_timeout_s: float = 30.0
     state_timeout_s: float = 0.1
     """Real time only: wall time without a state after which the follower holds."""
+    reconnect_s: float = 0.0
+    """Wall time to wait for a simulator that is gone to come back; 0: end when it goes."""
 
 
 class Follower:
@@ -121,6 +124,25 @@ def run_follower(link: Link, settings: FollowerSettings) -> str:
     keys = Keys(settings.run)
     session = AgentSession(link, keys.arm(settings.arm), keys.sim_alive, follower.hello())
     welcome = session.join(settings.join_timeout_s)
+    try:
+        while True:
+            try:
+                _carry(session, follower, welcome)
+            except SimulatorGone:
+                if not settings.reconnect_s:
+                    raise
+                follower = Follower(settings)  # what the law remembers need not be true of the time that comes
+                welcome = session.rejoin(settings.reconnect_s)
+    except RunEnded as ended:
+        return str(ended)
+    except KeyboardInterrupt:
+        session.leave()
+        return "interrupted"
+
+
+def _carry(session: AgentSession, follower: Follower, welcome: Welcome) -> NoReturn:
+    """Answer every state."""
+    settings = follower.settings
     log.info("arm %s: joined, %s clock, period %d ns", settings.arm, welcome.clock, welcome.control_period_ns)
     follower.begin(welcome)
     period_s = 1e-9 * welcome.control_period_ns
@@ -128,27 +150,21 @@ def run_follower(link: Link, settings: FollowerSettings) -> str:
     receive = session.receive_newest if in_real_time else session.receive
     timeout_s = settings.state_timeout_s if in_real_time else 1.0
     holding = False
-    try:
-        while True:
-            state = receive(timeout_s)
-            if state is None:
-                hold = follower.hold(session.lease) if in_real_time and not holding else None
-                if hold is not None:
-                    holding = True
-                    session.send(hold)
-                    log.warning("arm %s: no state for %g s: holding", settings.arm, timeout_s)
-                continue
-            if isinstance(state, LeaderView):
-                continue
-            try:
-                follower.check(state)
-            except Refused as refusal:
-                session.refuse(refusal)
-                continue
-            holding = False
-            session.send(follower.answer(state, session.lease, period_s))
-    except RunEnded as ended:
-        return str(ended)
-    except KeyboardInterrupt:
-        session.leave()
-        return "interrupted"
+    while True:
+        state = receive(timeout_s)
+        if state is None:
+            hold = follower.hold(session.lease) if in_real_time and not holding else None
+            if hold is not None:
+                holding = True
+                session.send(hold)
+                log.warning("arm %s: no state for %g s: holding", settings.arm, timeout_s)
+            continue
+        if isinstance(state, LeaderView):
+            continue
+        try:
+            follower.check(state)
+        except Refused as refusal:
+            session.refuse(refusal)
+            continue
+        holding = False
+        session.send(follower.answer(state, session.lease, period_s))

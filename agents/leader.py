@@ -5,15 +5,16 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.errors import AgentError
-from agents.session import AgentSession, RunEnded, here
+from agents.session import AgentSession, RunEnded, SimulatorGone, here
 from wire.keys import Keys
 from wire.link import Link
-from wire.messages import Hello, LeaderForce, LeaderView
+from wire.messages import Hello, LeaderForce, LeaderView, Welcome
 
 log = logging.getLogger("palanquin.leader")
 Array = NDArray[np.float64]
@@ -67,6 +68,8 @@ class LeaderSettings:
     """Where to pull before, each until its time."""
     wait_s: float = 0.0
     """How long to stand in line while another leader is in."""
+    reconnect_s: float = 0.0
+    """Wall time to wait for a simulator that is gone to come back; 0: end when it goes."""
 
     def __post_init__(self) -> None:
         for what, value in (
@@ -151,24 +154,35 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
     )
     try:
         welcome = session.join(settings.join_timeout_s, settings.wait_s)
-        if settings.point not in welcome.points:
-            session.leave()
-            raise AgentError(
-                f"leader: the load has no point {settings.point!r}; expected one of {', '.join(sorted(welcome.points))}"
-            )
-        point_O = np.array(welcome.points[settings.point])
-        settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
-        receive = session.receive_newest if welcome.clock == "real-time" else session.receive
-        on_the_way = "".join(f" {stop.goal_m} until {stop.until_s:g} s, then" for stop in settings.stops)
-        log.info("leader: joined, pulling %s towards%s %s", settings.point, on_the_way, settings.goal_m)
         while True:
-            view = receive(1.0)
-            if isinstance(view, LeaderView):
-                force = pull(view, point_O, settings)
-                session.send(LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist())))
+            try:
+                _lead(session, settings, welcome)
+            except SimulatorGone:
+                if not settings.reconnect_s:
+                    raise
+                welcome = session.rejoin(settings.reconnect_s)
     except RunEnded as ended:
         return str(ended)
     except KeyboardInterrupt:
         if session.lease:
             session.leave()
         return "interrupted"
+
+
+def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> NoReturn:
+    """Pull at every view."""
+    if settings.point not in welcome.points:
+        session.leave()
+        raise AgentError(
+            f"leader: the load has no point {settings.point!r}; expected one of {', '.join(sorted(welcome.points))}"
+        )
+    point_O = np.array(welcome.points[settings.point])
+    settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
+    receive = session.receive_newest if welcome.clock == "real-time" else session.receive
+    on_the_way = "".join(f" {stop.goal_m} until {stop.until_s:g} s, then" for stop in settings.stops)
+    log.info("leader: joined, pulling %s towards%s %s", settings.point, on_the_way, settings.goal_m)
+    while True:
+        view = receive(1.0)
+        if isinstance(view, LeaderView):
+            force = pull(view, point_O, settings)
+            session.send(LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist())))

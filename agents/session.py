@@ -6,6 +6,7 @@ import logging
 import os
 import queue
 import socket
+import threading
 import time
 from collections import Counter
 from contextlib import suppress
@@ -24,6 +25,8 @@ RETRY_S = 0.1
 """Between two greetings that nobody answered."""
 IN_LINE_S = 0.2
 """Between two greetings while another instance is in."""
+TIME_TO_GREET_S = 5.0
+"""For a greeting when the simulator came back at the last moment."""
 
 
 class SimulatorGone(AgentError):
@@ -51,6 +54,8 @@ class AgentSession:
     def __init__(self, link: Link, keys: ArmKeys, sim_alive: str, hello: Hello) -> None:
         self._link, self._keys, self._hello = link, keys, hello
         self._inbox: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._simulator_is_there = threading.Event()
+        self._has_token = False
         self._publisher = link.publisher(keys.command)
         self._refused: Counter[str] = Counter()
         self._early = 0
@@ -60,11 +65,35 @@ class AgentSession:
         link.watch_alive(sim_alive, self._on_simulator)
 
     def _on_simulator(self, alive: bool) -> None:
-        if not alive:
+        if alive:
+            self._simulator_is_there.set()
+        else:
+            self._simulator_is_there.clear()
             self._inbox.put(None)
 
-    def join(self, timeout_s: float, wait_s: float = 0.0) -> Welcome:
+    def rejoin(self, timeout_s: float) -> Welcome:
+        """Wait for a simulator that is gone to come back, and greet it as :meth:`join` does.
+
+        Raises:
+            SimulatorGone: it has not come back within ``timeout_s``.
+            NotWelcome, AgentError: as :meth:`join`.
+        """
+        log.warning("%s: the simulator is gone; waiting %g s for it to come back", self._hello.name, timeout_s)
+        deadline = time.monotonic() + timeout_s
+        if not self._simulator_is_there.wait(timeout_s):
+            raise SimulatorGone(
+                f"{self._hello.name}: the simulator is gone and has not come back within {timeout_s:g} s"
+            )
+        while not self._inbox.empty():  # all of it is from before
+            self._inbox.get()
+        return self.join(max(TIME_TO_GREET_S, deadline - time.monotonic()), again=True)
+
+    def join(self, timeout_s: float, wait_s: float = 0.0, *, again: bool = False) -> Welcome:
         """Greet the simulator and wait to be let in; while another instance is in, stand in line for ``wait_s``.
+
+        Args:
+            timeout_s: for all of it.
+            again: this agent was in before, and a simulator that only lost the connection may not have noticed yet.
 
         Raises:
             NotWelcome: it refused, with its reason.
@@ -80,6 +109,9 @@ class AgentSession:
                 continue
             message = decode_any(reply)
             if isinstance(message, Refusal):
+                if again and message.reason == Reason.TAKEN:
+                    time.sleep(RETRY_S)
+                    continue
                 if message.reason == Reason.TAKEN and time.monotonic() < patience:
                     if not in_line:
                         log.info("another %s is in: standing in line for %g s", self._hello.name, wait_s)
@@ -90,7 +122,9 @@ class AgentSession:
                 raise NotWelcome(f"{self._hello.name}: the simulator refused this agent: {message.text}")
             welcome = decode(reply, Welcome)
             self.lease, self._early = welcome.lease, self._inbox.qsize()
-            self._link.declare_alive(self._keys.alive)
+            if not self._has_token:  # else the transport has declared it again by itself
+                self._link.declare_alive(self._keys.alive)
+                self._has_token = True
             while not self._publisher.matched():
                 if time.monotonic() > deadline:
                     raise AgentError(f"{self._hello.name}: let in, but nobody listens on {self._keys.command}")

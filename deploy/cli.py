@@ -22,12 +22,14 @@ from rich.console import Console
 
 from deploy.chaos.commands import app as chaos_app
 from deploy.credentials_cli import credentials, router
-from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
+from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import Interrupted, end_with_parent, raise_on_signals
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 HARD_EXIT_S = 20.0
+RECONNECT_S = 30.0
+"""Time to start a simulator that was killed again, by hand. Agents of a launched run end with it."""
 
 app = typer.Typer(
     name="palanquin",
@@ -46,6 +48,9 @@ RunName = Annotated[str, typer.Option("--run", help="Name of the run.")]
 Connect = Annotated[str, typer.Option("--connect", help="Address of the simulator.")]
 OwnCredential = Annotated[
     str | None, typer.Option("--credential", metavar="DIR", help="This process's credential; - reads a line of stdin.")
+]
+Reconnect = Annotated[
+    float, typer.Option("--reconnect-s", min=0.0, help="Wait so long for a simulator that is gone; 0: end with it.")
 ]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
 Walls = Annotated[
@@ -144,7 +149,13 @@ def _draw(folder: Path) -> Path | None:
 
 @app.command()
 def sim(
-    scenario: ScenarioName,
+    scenario: Annotated[
+        str | None, typer.Argument(help="A scenario's name or a TOML file; with --resume, RUN's.")
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="Go on with the run in this folder, whose simulator was killed."),
+    ] = None,
     run: Annotated[str | None, typer.Option("--run", help="Name of the run; the scenario's by default.")] = None,
     listen: Annotated[str, typer.Option(help="Address to listen on.")] = DEFAULT_ENDPOINT,
     connect_router: Annotated[
@@ -166,21 +177,29 @@ def sim(
 ) -> None:
     """Start the simulator of a scenario and wait for its agents."""
     from deploy.links import OPEN_MEANS, open_sim_link
+    from deploy.resuming import checkpoint_to_resume
     from sim_server.run_folder import RunFolder
     from sim_server.scenario_files import load_scenario
     from sim_server.server import Server, check_world, default_folder
     from wire.endpoints import parse_endpoint
 
     _log_to_stderr()
-    named = load_scenario(scenario, scenario_changes(seed, set_))
+    checkpoint = checkpoint_to_resume(resume, scenario, scenario_changes(seed, set_), run, out)
+    if checkpoint is not None:
+        named, name = checkpoint.named, checkpoint.run
+    elif scenario is not None:
+        named = load_scenario(scenario, scenario_changes(seed, set_))
+        name = run or _run_name(named.name)
+    else:
+        fail("which scenario? Give SCENARIO, or --resume RUN to go on with a run whose simulator was killed", BAD_INPUT)
     check_world(named)
-    name = run or _run_name(named.name)
     with open_sim_link(
         name, listen, connect_router, credentials, is_open=open_, insecure_network=insecure_network
     ) as link:
-        folder = RunFolder(out or default_folder(Path("runs"), named.name))
+        again = None if checkpoint is None else RunFolder.of_a_run(checkpoint.folder)
+        folder = again or RunFolder(out or default_folder(Path("runs"), named.name))
         listening = None if connect_router else parse_endpoint(listen)
-        server = Server(link, named, name, folder, names_proven=not open_, listening=listening)
+        server = Server(link, named, name, folder, names_proven=not open_, listening=listening, checkpoint=checkpoint)
         _stop_on_signals(server.stop)
         if with_parent:
             end_with_parent(lambda: _stop_or_exit(server.stop), even_if_stopped=False)
@@ -207,6 +226,7 @@ def follower(
     set_: Settings = None,
     walls: Walls = False,
     credential: OwnCredential = None,
+    reconnect_s: Reconnect = RECONNECT_S,
     with_parent: WithParent = False,
 ) -> None:
     """Start one follower: the control process of one arm."""
@@ -221,7 +241,7 @@ def follower(
     if walls:  # all of ours is loaded, nothing of the user's
         _raise_walls(connect)
     gains = tables(set_ or [])
-    settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s)
+    settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s, reconnect_s=reconnect_s)
     Keys(run).arm(arm)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
@@ -248,6 +268,7 @@ def leader(
     ] = 0.0,
     walls: Walls = False,
     credential: OwnCredential = None,
+    reconnect_s: Reconnect = RECONNECT_S,
     with_parent: WithParent = False,
 ) -> None:
     """Start the leader: it sees the load, knows the goal, and pulls."""
@@ -262,7 +283,9 @@ def leader(
         _raise_walls(connect)
     Keys(run)
     stops = tuple(map(Stop.read, stop or []))
-    settings = LeaderSettings(run, goal_m, force_max, stiffness, damping, point, stops=stops, wait_s=wait_s)
+    settings = LeaderSettings(
+        run, goal_m, force_max, stiffness, damping, point, stops=stops, wait_s=wait_s, reconnect_s=reconnect_s
+    )
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
     _leave_on_signals()

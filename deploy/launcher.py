@@ -110,7 +110,8 @@ class Launcher:
         if self._scenario.leader is not None:
             agents[Role.LEADER] = ["leader", *leader_arguments(self._scenario)]
         for name, arguments in agents.items():
-            self._agents[str(name)] = [*arguments, *common, "--connect", self._endpoint]
+            # Who restarts a simulator here is nobody: without it the run is over.
+            self._agents[str(name)] = [*arguments, *common, "--connect", self._endpoint, "--reconnect-s", "0"]
             if name not in self._scenario.arms and name != Role.LEADER:
                 continue  # it comes later
             self._start_agent(str(name))

@@ -74,6 +74,15 @@ class Auditor:
         self.sessions: dict[str, SessionSeen] = {}
         self.has_looked = self.hangs = False
         self._doubts: set[str] = set()
+        self._leases_before: Mapping[str, int] = {}
+
+    def go_on(self, time_s: float, leases: Mapping[str, int]) -> None:
+        """The run goes on at this simulated time in another simulator: its end can be judged, but not the whole."""
+        self._leases_before = dict(leases)
+        self._doubts.add(
+            f"the simulator was started again and went on from {time_s:g} s: what the connections to the one before "
+            "carried is not known"
+        )
 
     def expect(self, name: str, its: ArmKeys) -> None:
         """One more agent, with its keys."""
@@ -167,7 +176,7 @@ class Auditor:
 
     def describe(self, tallies: Tallies, processes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """The content of audit.json; ``processes`` tells each agent's pid, host and lease."""
-        lives = {name: int(process["lease"]) for name, process in processes.items()}
+        lives = {name: int(process["lease"]) - self._leases_before.get(name, 0) for name, process in processes.items()}
         verdict, why, counted = self.judge(lives)
         overhead = self.connections.overhead
         return {

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from sim_server.scenario import arm_number
+from sim_server.snapshot import Snapshot, fill, random_state, set_random_state
 from sim_server.world import World
 
 SOFT_SOLREF, SOFT_SOLIMP = (0.05, 1.0), (0.5, 0.8, 0.005, 0.5, 2.0)
@@ -56,3 +57,12 @@ class BadGrasp:
     def end(self) -> None:
         """No force any more; the weld is the plant's to open."""
         self._world.data.xfrc_applied[self._ids.hand_body] = 0.0
+
+    def state(self) -> Snapshot:
+        """The size of the force, the force now, and where its stream stands."""
+        return {"force_N": self._sigma, "force": self._force, "stream": random_state(self._rng)}
+
+    def restore(self, saved: Snapshot) -> None:
+        """Go on from there; ``force_N`` was the constructor's."""
+        fill(self._force, saved["force"])
+        set_random_state(self._rng, saved["stream"])

@@ -124,7 +124,7 @@ class Connections:
 
     def __init__(self, counts: Counts | None, tallies: Tallies, overhead: Overhead) -> None:
         self._counts, self._tallies, self.overhead = counts, tallies, overhead
-        self._before = Moment(time.monotonic(), {}, {})
+        self._before = Moment.of(tallies)
         self.found: dict[int, Connection] = {}
         self.problem = (
             ""

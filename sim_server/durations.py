@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
+from sim_server.snapshot import Snapshot
+
 KEPT_BITS = 8
 """Leading binary digits that a duration keeps, so that it is rounded down by less than 1 %."""
 
@@ -41,6 +43,15 @@ class Durations:
             if seen >= wanted:
                 return value
         return 0
+
+    def state(self) -> Snapshot:
+        """All counts."""
+        return {"counts": sorted(self._counts.items()), "max_ns": self.max_ns}
+
+    def restore(self, saved: Snapshot) -> None:
+        """Count on from there."""
+        self._counts = Counter({int(value): int(times) for value, times in saved["counts"]})
+        self.max_ns = int(saved["max_ns"])
 
     def spread_us(self) -> dict[str, float]:
         """Median and 99th percentile, us."""

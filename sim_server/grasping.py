@@ -15,6 +15,7 @@ from sim_server.hands import OPEN_M, Hand, would_hold
 from sim_server.layout import STRUT_SIDE_M, Array, Pose
 from sim_server.robots import R_SE
 from sim_server.scene import locate, quat_wxyz, rotation
+from sim_server.snapshot import Snapshot
 from sim_server.world import World
 from wire.messages import Vector
 
@@ -118,6 +119,27 @@ class Grasping:
     def is_held(self, strut: int) -> bool:
         """Whether some hand holds this strut (from 0)."""
         return any(ids.strut == strut and name not in self.empty for name, ids in self._world.arms.items())
+
+    def state(self) -> Snapshot:
+        """Empty hands, those that have just closed, and what nobody has reported yet."""
+        return {
+            "empty": {name: [hand.origin, hand.opening_m, hand.wanted_m] for name, hand in self.empty.items()},
+            "closing": [[each.arm, each.tick, each.force_max_N] for each in self.closing.values()],
+            "opened": list(self.opened),
+            "grasped": [[each.arm, each.tick, each.force_max_N] for each in self.grasped],
+            "force_max_N": self.force_max_N,
+        }
+
+    def restore(self, saved: Snapshot) -> None:
+        """Go on from there. Whether a hand holds is the world's own state."""
+        self.empty = {
+            str(name): Hand(np.array(origin), float(opening), float(wanted))
+            for name, (origin, opening, wanted) in saved["empty"].items()
+        }
+        self.closing = {str(arm): Closing(str(arm), int(tick), float(most)) for arm, tick, most in saved["closing"]}
+        self.grasped = [Closing(str(arm), int(tick), float(most)) for arm, tick, most in saved["grasped"]]
+        self.opened[:] = map(str, saved["opened"])
+        self.force_max_N = float(saved["force_max_N"])
 
     def _base(self, arm: str) -> Array:
         base: Array = self._world.data.qpos[self._world.arms[arm].base_qpos].copy()

@@ -17,6 +17,7 @@ from sim_server.lockstep import Ticker
 from sim_server.newcomers import CannotCome
 from sim_server.reception import Reception, Report
 from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Verb, in_order
+from sim_server.snapshot import Snapshot, SnapshotError
 from wire.codec import encode
 from wire.lifecycle import Phase
 from wire.link import Publisher
@@ -99,6 +100,8 @@ class Happenings:
         waits: bool,
     ) -> None:
         self._newcomers, self._waits = newcomers, waits
+        self._unforeseen: list[AnyEvent] = []
+        """Joins that no scenario has."""
         self._prepared: dict[str, int] = {}
         """Newcomers that are prepared for, each with the number of its deed, or 0."""
         self._due = in_order(events, period_ms)
@@ -145,11 +148,15 @@ class Happenings:
             except CannotCome as error:
                 self._report("refused_order", event="join", strut=strut, text=str(error))
                 continue
-            due = tick + self._lead_ticks
             arm = self._newcomers.next_name()
-            event = Join(at_s=due * self._period_ms / 1000, kind="join", arm=arm, strut=strut)
+            event = self._want(tick + self._lead_ticks, arm, strut)
             self._report("wanted", event="join", agent=arm, strut=strut, at_s=event.at_s)
-            self._due = sorted([*self._due, (due, event)], key=lambda each: each[0])
+
+    def _want(self, due: int, arm: str, strut: int) -> Join:
+        event = Join(at_s=due * self._period_ms / 1000, kind="join", arm=arm, strut=strut)
+        self._unforeseen.append(event)
+        self._due = sorted([*self._due, (due, event)], key=lambda each: each[0])
+        return event
 
     @property
     def _lead_ticks(self) -> int:
@@ -184,6 +191,28 @@ class Happenings:
             self._wait(lambda: agent.is_in and agent.alive, event, "it has not joined", self._start_s)
         effect = f"it stands outside, by strut {event.strut}"
         self._report("seen", event=event.kind, agent=event.arm, effect=effect, pause_ms=1e3 * pause_s)
+
+    def state(self) -> Snapshot:
+        """How many of the scenario's events are still to come, the robots that somebody wants, the hands that will slip
+        off, and the number of the last deed."""
+        wanted = [(tick, event) for tick, event in self._due if event in self._unforeseen]
+        return {
+            "due": len(self._due) - len(wanted),
+            "wanted": [[tick, event.arm, event.strut] for tick, event in wanted if isinstance(event, Join)],
+            "slips": [list(slip) for slip in self._slips],
+            "number": self._number,
+        }
+
+    def restore(self, saved: Snapshot) -> None:
+        """Only what was still to come will happen."""
+        due = int(saved["due"])
+        if not 0 <= due <= len(self._due):
+            raise SnapshotError(f"events: got {due} to come, expected at most {len(self._due)}")
+        self._due = self._due[len(self._due) - due :]
+        for tick, arm, strut in saved["wanted"]:
+            self._want(int(tick), str(arm), int(strut))
+        self._slips = [(int(tick), str(arm)) for tick, arm in saved["slips"]]
+        self._number = int(saved["number"])
 
     def _do(self, event: ProcessEvent) -> str:
         """Have it done; what was seen of it."""

@@ -18,10 +18,13 @@ from sim_server.durations import Durations
 from sim_server.plant import Plant
 from sim_server.punctuality import Punctuality
 from sim_server.reception import LEADER, Agent, Arrived, Reception, Report
+from sim_server.snapshot import Snapshot
 from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.lifecycle import Phase
 from wire.messages import Command, Done, End, LeaderForce, LeaderView, Order, State
+
+PARTS = ("send", "wait", "step", "record", "tick", "controller")
 
 
 @dataclass(slots=True)
@@ -41,6 +44,15 @@ class Timings:
     controller: Durations = field(default_factory=Durations)
     begun: tuple[int, int] = (0, 0)
     """What sending and waiting took in the tick that goes on."""
+
+    def state(self) -> Snapshot:
+        """All of them."""
+        return {name: getattr(self, name).state() for name in PARTS}
+
+    def restore(self, saved: Snapshot) -> None:
+        """Go on counting from there."""
+        for name in PARTS:
+            getattr(self, name).restore(saved[name])
 
     def end_tick(self, step: int, record: int) -> None:
         """The tick that goes on is over; these were its last two parts."""

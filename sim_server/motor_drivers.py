@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_server.unled_arms import Behaviour, Felt
+from sim_server.snapshot import Snapshot, SnapshotError, fill
+from sim_server.unled_arms import Behaviour, Felt, behaviour_of
 
 Array = NDArray[np.float64]
 
@@ -83,8 +84,10 @@ class MotorDrivers:
         self._unled[arm] = behaviour
 
     def regain(self, arm: int) -> None:
-        """Somebody drives the arm again: it obeys commands, starting from the torque applied now."""
-        self._unled.pop(arm, None)
+        """Somebody drives the arm again: it obeys commands, starting from the torque applied now. One that has been
+        driven all along goes on with what was commanded."""
+        if self._unled.pop(arm, None) is None:
+            return
         self._open.discard(arm)
         for command in [self._command, *self._on_the_way]:
             command[arm] = (*self.torque[arm], 0.0, 0.0, 0.0)
@@ -130,3 +133,31 @@ class MotorDrivers:
         np.maximum(change, -step, out=change)
         np.minimum(change, step, out=change)
         self.torque += change
+
+    def state(self) -> Snapshot:
+        """Everything that the next step depends on."""
+        return {
+            "torque": self.torque,
+            "limited": self._limited,
+            "command": self._command,
+            "target": self._target,
+            "on_the_way": list(self._on_the_way),
+            "ages": list(self._ages),
+            "unled": [[arm, behaviour.state()] for arm, behaviour in self._unled.items()],
+            "open": sorted(self._open),
+        }
+
+    def restore(self, saved: Snapshot) -> None:
+        """Go on from there: between two ticks, with no command given yet."""
+        fill(self.torque, saved["torque"])
+        fill(self._limited, saved["limited"])
+        fill(self._command, saved["command"])
+        fill(self._target, saved["target"])
+        for command, there in zip(self._on_the_way, saved["on_the_way"], strict=True):
+            fill(command, there)
+        arms = range(len(self._ages))
+        if len(saved["ages"]) != len(arms) or any(arm not in arms for arm, _ in saved["unled"]):
+            raise SnapshotError(f"motor drivers: got other arms, expected {len(arms)}")
+        self._ages = [int(age) for age in saved["ages"]]
+        self._unled = {arm: behaviour_of(state) for arm, state in saved["unled"]}
+        self._open = {int(arm) for arm in saved["open"]}

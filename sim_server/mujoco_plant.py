@@ -24,8 +24,9 @@ from sim_server.new_world import carry_over, stand_outside
 from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.scenario import arm_number
 from sim_server.sensor_noise import SensorNoise
+from sim_server.snapshot import Snapshot, SnapshotError, fill
 from sim_server.unled_arms import Behaviour, Brake, Felt, LetDown, Limp, Release
-from sim_server.world import ArmIds, World
+from sim_server.world import ArmIds, World, build_world
 from wire.arms.limits import arm_limits
 from wire.messages import Vector
 
@@ -35,6 +36,14 @@ NOWHERE: Vector = (0.0,) * 6
 
 LOST_ARMS: Mapping[str, Callable[[], Behaviour]] = {"limp": Limp, "brake": Brake, "release": Release}
 """What a lost arm does, by the scenario's word for it."""
+
+INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+"""All that MuJoCo's next step depends on: positions, velocities, applied forces, which welds hold, the warm start."""
+LEFT_BY_THE_STEP = ("sensordata", "qfrc_bias", "xmat", "xipos", "site_xpos")
+"""What a step leaves behind and we read before the next: it belongs to the state that the step began with, so working
+it out anew would give other numbers."""
+GRASPS = ("eq_data", "eq_solref", "eq_solimp", "site_pos", "site_quat")
+"""Numbers of the model that change during a run."""
 
 
 class MujocoPlant:
@@ -302,6 +311,60 @@ class MujocoPlant:
         self._load_torque[:] = _cross((self._R_WO @ self._pull_lever).tolist(), self._pull_force.tolist())
         for bad in self._slipping.values():
             bad.push(self._dt_s)
+
+    def state(self) -> Snapshot:
+        """Everything that the ticks after this one depend on, between two ticks."""
+        model, data = self._model, self._data
+        integration = np.zeros(mujoco.mj_stateSize(model, INTEGRATION))
+        mujoco.mj_getState(model, data, integration, INTEGRATION)
+        return {
+            "tick": self.tick,
+            "seats": [[name, ids.strut] for name, ids in self.world.arms.items()],
+            "met": [[name, ids.strut] for name, ids in self.met.items()],
+            "hands": self.hands.state(),
+            "integration": integration,
+            "left_by_the_step": {name: getattr(data, name) for name in LEFT_BY_THE_STEP},
+            "grasps": {name: getattr(model, name) for name in GRASPS},
+            "drivers": self._drivers.state(),
+            "noise": self._noise.state(),
+            "stiffness": self._stiffness,
+            "pull_lever": self._pull_lever,
+            "pull_force": self._pull_force,
+            "slipping": {arm: bad.state() for arm, bad in self._slipping.items()},
+        }
+
+    def restore(self, saved: Snapshot) -> None:
+        """Go on from there, number for number. For a plant of the same scenario that has not been stepped yet."""
+        seats = {str(name): int(strut) for name, strut in saved["seats"]}
+        if not all(0 <= strut < len(self.world.struts) for strut in seats.values()):
+            raise SnapshotError(f"robots: got {seats}, expected a strut of this load for each")
+        met = {str(name): int(strut) for name, strut in saved["met"]}
+        if met.keys() != self.met.keys():  # robots have come since the start, and some may have gone again
+            everybody = build_world(self.world.scenario, met)
+            self.met |= everybody.arms
+        if seats != {name: ids.strut for name, ids in self.world.arms.items()}:
+            self.move_to(build_world(self.world.scenario, seats))
+        self.hands.restore(saved["hands"])
+        model, data = self._model, self._data
+        integration = np.zeros(mujoco.mj_stateSize(model, INTEGRATION))
+        fill(integration, saved["integration"])
+        self._slipping = {
+            arm: BadGrasp(self.world, arm, float(bad["force_N"])) for arm, bad in saved["slipping"].items()
+        }
+        for arm, bad in saved["slipping"].items():
+            self._slipping[arm].restore(bad)
+        for name in GRASPS:  # after the bad grasps, which set theirs
+            fill(getattr(model, name), saved["grasps"][name])
+        mujoco.mj_setState(model, data, integration, INTEGRATION)
+        for name in LEFT_BY_THE_STEP:
+            fill(getattr(data, name), saved["left_by_the_step"][name])
+        self._drivers.restore(saved["drivers"])
+        self._noise.restore(saved["noise"])
+        fill(self._stiffness, saved["stiffness"])
+        fill(self._pull_lever, saved["pull_lever"])
+        self._pull_force = np.zeros(3)
+        fill(self._pull_force, saved["pull_force"])
+        self.tick = int(saved["tick"])
 
     def state_row(self) -> tuple[list[Array], Array]:
         """Positions and velocities of this tick: the load's, and the arms' [q, qd, base, base velocity], (N, 2n + 6).

@@ -55,6 +55,10 @@ class Newcomers:
         self._coming: dict[str, Coming] = {}
         self._names = {*scenario.arms, *scenario.joining}
 
+    def know(self, arm: str) -> None:
+        """That name has been had."""
+        self._names.add(arm)
+
     def next_name(self) -> str:
         """A name that nobody has had."""
         name = f"a{max(int(name[1:]) for name in self._names) + 1}"

@@ -10,6 +10,7 @@ from typing import Any
 
 from sim_server.durations import Durations
 from sim_server.reception import LEADER, Agent
+from sim_server.snapshot import Snapshot
 
 LATE_UP_TO_US = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
 """Upper edges of the histogram of late starts."""
@@ -61,6 +62,23 @@ class Punctuality:
                 "tick_late_histogram_us": self._late_histogram(),
             }
         return found
+
+    def state(self) -> Snapshot:
+        """All of it."""
+        return {
+            "ages": {name: sorted(ages.items()) for name, ages in self.ages.items()},
+            "oldest": self.oldest,
+            "slowed_ns": self.slowed_ns,
+            "late": self.late.state(),
+            "late_edges": sorted(self.late_edges.items()),
+        }
+
+    def restore(self, saved: Snapshot) -> None:
+        """Note on from there."""
+        self.ages = {name: Counter({int(age): int(n) for age, n in ages}) for name, ages in saved["ages"].items()}
+        self.oldest, self.slowed_ns = int(saved["oldest"]), int(saved["slowed_ns"])
+        self.late.restore(saved["late"])
+        self.late_edges = Counter({int(edge): int(n) for edge, n in saved["late_edges"]})
 
     def _late_histogram(self) -> dict[str, int]:
         """Ticks by how late they began: ``"50"`` counts those above the edge before it and up to 50 us."""

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from sim_server.snapshot import Snapshot, SnapshotError
 from sim_server.tally import OPERATOR, STRANGERS, CountedPublisher, Tallies
-from wire.codec import decode_any, encode
+from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.keys import ANY_HELLO, ArmKeys, Keys
 from wire.lifecycle import AgentLink, Invitation, Phase
@@ -82,13 +83,21 @@ class Reception:
         keys: of this run.
         invitations: whom to expect and on which terms, the leader under the name ``leader``.
         report: called for every event: joined, lost, left, refused.
+        tallies: what crossed the edge before, if the run goes on.
     """
 
-    def __init__(self, link: Link, keys: Keys, invitations: Iterable[tuple[Invitation, Terms]], report: Report) -> None:
+    def __init__(
+        self,
+        link: Link,
+        keys: Keys,
+        invitations: Iterable[tuple[Invitation, Terms]],
+        report: Report,
+        tallies: Tallies | None = None,
+    ) -> None:
         self._keys, self._report = keys, report
         self.inbox: queue.SimpleQueue[Arrived] = queue.SimpleQueue()
         self.agents: dict[str, Agent] = {}
-        self.tallies = Tallies()
+        self.tallies = tallies or Tallies()
         self.strangers: dict[str, int] = {}
         """Refusals of those who are nobody here, by run, name and reason."""
         self._link = link
@@ -98,6 +107,7 @@ class Reception:
         for expression in ANY_HELLO:
             link.answer_queries(expression, lambda question: self.inbox.put(Arrived("question", "", b"", question)))
         link.subscribe(keys.order, self._putter("order", "", keys.order))
+        self._awaited = set(self.agents)
         link.declare_alive(keys.sim_alive)
 
     def invite(self, invitation: Invitation, terms: Terms, *, hold: bool = False) -> None:
@@ -146,8 +156,27 @@ class Reception:
         return {name: agent for name, agent in self.agents.items() if name != LEADER}
 
     def missing(self) -> list[str]:
-        """Names of those who are not in."""
-        return [name for name, agent in self.agents.items() if not agent.is_in]
+        """Names of those who are awaited before the run begins, or goes on, and are not in."""
+        return [name for name, agent in self.agents.items() if name in self._awaited and not agent.is_in]
+
+    def state(self) -> Snapshot:
+        """Every agent's life and last greeting, and the strangers."""
+        lives = {
+            name: {"link": agent.link.state(), "hello": encode(agent.hello) if agent.hello else None}
+            for name, agent in self.agents.items()
+        }
+        return {"agents": lives, "strangers": self.strangers}
+
+    def restore(self, saved: Snapshot) -> None:
+        """Await those who were in; before anything is taken out of the inbox."""
+        if saved["agents"].keys() != self.agents.keys():
+            raise SnapshotError(f"agents: got {', '.join(saved['agents'])}, expected {', '.join(self.agents)}")
+        for name, life in saved["agents"].items():
+            agent = self.agents[name]
+            agent.hello = decode(life["hello"], Hello) if life["hello"] else None
+            if not agent.link.resume(life["link"]):
+                self._awaited.discard(name)
+        self.strangers = {str(stranger): int(times) for stranger, times in saved["strangers"].items()}
 
     def match(self) -> list[str]:
         """Let those in whose links have come up in both directions; return their names."""

@@ -6,10 +6,10 @@ import importlib.metadata
 import platform
 import subprocess
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from sim_server.checkpoint import Checkpoints
 from sim_server.lockstep import Ticker, Timings
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import Agent, Reception
@@ -19,17 +19,22 @@ from wire.arms.limits import arm_limits
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How and when a run ended."""
+    """How a run ended."""
 
     completed: bool
     why: str
     wall_s: float
     """Wall time from the first tick to the last."""
-    started_at: datetime
 
 
 def describe_run(
-    run: str, named: NamedScenario, plant: MujocoPlant, reception: Reception, clock: Ticker, ending: Ending
+    run: str,
+    named: NamedScenario,
+    plant: MujocoPlant,
+    reception: Reception,
+    clock: Ticker,
+    checkpoints: Checkpoints,
+    ending: Ending,
 ) -> dict[str, Any]:
     """The content of run.json."""
     scenario = named.scenario
@@ -41,7 +46,9 @@ def describe_run(
         "seed": scenario.seed,
         "clock": scenario.clock.mode,
         "versions": versions(),
-        "started_at": ending.started_at.isoformat(timespec="seconds"),
+        "started_at": checkpoints.story.started_at.isoformat(timespec="seconds"),
+        "resumed": checkpoints.story.resumed,
+        "checkpoints": checkpoints.describe(),
         "ended": {"completed": ending.completed, "why": ending.why, "ticks": plant.tick},
         "agents": describe_agents(reception),
         "strangers_refused": reception.strangers,

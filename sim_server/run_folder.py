@@ -3,6 +3,7 @@ launcher's.)"""
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import os
@@ -36,6 +37,39 @@ class RunFolder:
         self.path = path
         with _claiming(path):
             self._events: TextIO = (path / EVENTS).open("x", encoding="utf-8")
+        self._lock = _lock(path)
+
+    @classmethod
+    def of_a_run(cls, path: Path) -> RunFolder:
+        """The folder of a run that is to go on. Nothing in it changes before :meth:`rewind`.
+
+        Raises:
+            RunFolderError: another simulator has it, or it cannot be written.
+        """
+        self = cls.__new__(cls)
+        self.path, self._lock = path, _lock(path)
+        try:
+            self._events = (path / EVENTS).open("r+", encoding="utf-8")
+        except OSError as error:
+            os.close(self._lock)
+            raise RunFolderError(f"{path / EVENTS} cannot be opened: {error.strerror}") from None
+        return self
+
+    def rewind(self, size: int) -> None:
+        """Mark what the events say beyond their first ``size`` bytes as undone: it happened, but the run goes on from
+        before it. A line that was not finished is dropped."""
+        self._events.close()
+        file = self.path / EVENTS
+        data = file.read_bytes()
+        undone = [json.loads(line) | {"undone": True} for line in data[size:].splitlines(True) if line.endswith(b"\n")]
+        part = file.with_suffix(".part")
+        part.write_bytes(data[:size] + b"".join(json.dumps(event).encode() + b"\n" for event in undone))
+        os.replace(part, file)
+        self._events = file.open("a", encoding="utf-8")
+
+    def events_bytes(self) -> int:
+        """How long the events file is now."""
+        return os.fstat(self._events.fileno()).st_size
 
     @property
     def trace(self) -> Path:
@@ -48,7 +82,9 @@ class RunFolder:
         self._events.flush()
 
     def close(self) -> None:
-        self._events.close()
+        if not self._events.closed:
+            self._events.close()
+            os.close(self._lock)
 
 
 def claim_logs(path: Path) -> Path:
@@ -60,6 +96,26 @@ def claim_logs(path: Path) -> Path:
     with _claiming(path):
         (path / LOGS).mkdir()
     return path / LOGS
+
+
+def _lock(path: Path) -> int:
+    """Keep the folder for this process, however it ends; the descriptor that does so.
+
+    Raises:
+        RunFolderError: another process keeps it.
+    """
+    try:
+        folder = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise RunFolderError(f"{path} cannot be opened: {error.strerror}") from None
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(folder)
+        raise RunFolderError(f"{path}: a simulator is writing this run: expected one that has ended") from None
+    except OSError:
+        pass  # a file system without locks
+    return folder
 
 
 @contextmanager
@@ -90,7 +146,13 @@ def read_run(path: Path) -> dict[str, Any]:
     Raises:
         RunFolderError: it is no run folder.
     """
-    return _read_json(path / RUN, f"{path} is no run folder: expected a file {RUN} in it")
+    missing = f"{path} is no run folder: expected a file {RUN} in it"
+    if (path / "checkpoint").is_dir():
+        missing = (
+            f"{path}: this run has not ended: expected a file {RUN} in it; if its simulator was killed, go on with "
+            f"`palanquin sim --resume {path}`"
+        )
+    return _read_json(path / RUN, missing)
 
 
 def read_audit(path: Path) -> dict[str, Any]:

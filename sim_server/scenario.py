@@ -142,9 +142,12 @@ class Plant(Section):
 
 
 class Record(Section):
-    """What goes into trace.parquet."""
+    """What goes into the run folder while the run goes on."""
 
     every_ticks: Annotated[int, Field(strict=True, ge=1)] = 5
+    """A row of trace.parquet per so many ticks."""
+    checkpoint_s: NotNegative = 1.0
+    """Simulated time between two checkpoints, from which a simulator that was killed can go on; 0: none."""
 
 
 class Bound(Section):

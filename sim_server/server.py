@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import shutil
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from sim_server.audit import Auditor
+from sim_server.checkpoint import Checkpoints, Owners
+from sim_server.checkpoint_file import FOLDER, Checkpoint
 from sim_server.clock import make_clock
 from sim_server.connections import connections_of
 from sim_server.errors import PlantFailed, ScenarioError, SimError
@@ -27,8 +30,9 @@ from sim_server.reception import LEADER, Arrived, Reception, Terms
 from sim_server.run_description import Ending, describe_agents, describe_run
 from sim_server.run_folder import AUDIT, METRICS, RUN, RunFolder, compute_metrics, write_json
 from sim_server.scenario_files import NamedScenario
-from sim_server.tally import OBSERVERS, OPERATOR, CountedPublisher
+from sim_server.tally import OBSERVERS, OPERATOR, CountedPublisher, Tallies
 from sim_server.trace import TraceWriter
+from sim_server.trace_rows import Segment
 from sim_server.verdict import Verdict
 from sim_server.world import World, build_world
 from wire.arms import arm_digest
@@ -75,6 +79,10 @@ class Server:
         folder: where the run's files go.
         names_proven: whether credentials stand behind the agents' names; for the audit.
         listening: where the link listens; None if it is a client of a router.
+        checkpoint: from which the run goes on, in the folder that it came from; None for a new run.
+
+    Raises:
+        CheckpointError, RowsLost: the run cannot go on from there; nothing has been changed.
     """
 
     def __init__(
@@ -86,20 +94,26 @@ class Server:
         *,
         names_proven: bool = False,
         listening: Endpoint | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         self._named, self._run_name, self._folder = named, run, folder
         self._scenario = named.scenario
         self._world: World = build_world(self._scenario)
         self._plant = MujocoPlant(self._world)
         keys = Keys(run)
-        self._reception = Reception(link, keys, self._invitations(), self._report)
+        tallies = Tallies()
+        if checkpoint is not None:  # before anybody can be heard
+            with checkpoint.taking_back():
+                tallies.restore(checkpoint.content["tallies"])
+        connections = connections_of(listening, tallies)
+        self._reception = Reception(link, keys, self._invitations(), self._report, tallies)
         seen = self._reception.tallies.of(OBSERVERS, keys.progress, "to")
         self._progress = CountedPublisher(link.publisher(keys.progress), seen)
         self._auditor = Auditor(
             link,
             keys,
             {name: self._reception.keys_of(name) for name in self._reception.agents},
-            connections_of(listening, self._reception.tallies),
+            connections,
             names_proven=names_proven,
         )
         self._clock = make_clock(self._scenario, self._reception, self._plant, self._report)
@@ -120,12 +134,21 @@ class Server:
         )
         self._start_wall = 0.0
         self._last_progress = 0.0
-        self._started_at = datetime.now(UTC)
+        owners = Owners(self._plant, self._reception, self._clock, self._happenings, self._invite_again)
+        self._checkpoints = Checkpoints(folder, run, named, owners)
+        if checkpoint is not None:
+            self._go_on(checkpoint)
 
     def _invite(self, arm: str) -> None:
         """A newcomer may greet from now on; the answer waits for its tick."""
         self._reception.invite(*self._invitation(arm), hold=True)
         self._auditor.expect(arm, self._reception.keys_of(arm))
+
+    def _invite_again(self, arm: str) -> None:
+        """A robot that came before the simulator was killed: its agent may greet."""
+        self._reception.invite(*self._invitation(arm))
+        self._auditor.expect(arm, self._reception.keys_of(arm))
+        self._newcomers.know(arm)
 
     def _invitation(self, arm: str) -> tuple[Invitation, Terms]:
         team, clock = self._scenario.team, self._scenario.clock
@@ -161,6 +184,20 @@ class Server:
                 ),
             )
 
+    def _go_on(self, checkpoint: Checkpoint) -> None:
+        """Take the run up where the checkpoint left it. What was written after it is dropped, or marked as undone."""
+        rows = self._checkpoints.restore(checkpoint)
+        self._trace = self._open_trace(rows)
+        with checkpoint.taking_back():
+            self._folder.rewind(int(checkpoint.content["events_bytes"]))
+        leases = {name: agent.link.lease for name, agent in self._reception.agents.items()}
+        self._auditor.go_on(self._plant.time_s, leases)
+        self._report("resumed", at=self._checkpoints.story.resumed[-1]["at"])
+
+    def _open_trace(self, segments: Sequence[Segment] = ()) -> TraceWriter:
+        scenario = self._scenario
+        return TraceWriter(self._folder.trace, scenario.arms, arm_limits(scenario.team.arm).joints, segments)
+
     def _report(self, kind: str, **details: object) -> None:
         self._folder.event(self._plant.tick, self._plant.time_s, kind, **details)
         log.info("%s %s", kind, details)
@@ -175,16 +212,22 @@ class Server:
         Raises:
             NobodyCame: not all agents were there in time; nothing but the events is left.
         """
+        is_over = self._trace is None  # a run that has not been gone on with is not over: its agents may wait on
         try:
             try:
                 self._wait_for_agents()
             except Stopped:
-                raise NobodyCame("stopped before the first tick: nothing was recorded") from None
+                raise NobodyCame(
+                    "stopped before the first tick: nothing was recorded"
+                    if self._trace is None
+                    else "stopped before the run went on: it stands where it stood"
+                ) from None
+            is_over = True
             with self._auditor.connections.watching():
                 completed, why = self._run_ticks()
             return self._conclude(completed, why)
         finally:
-            if not self._auditor.hangs:
+            if is_over and not self._auditor.hangs:
                 self._say_end("the run is over")
             self._folder.close()
 
@@ -208,12 +251,15 @@ class Server:
 
     def _run_ticks(self) -> tuple[bool, str]:
         scenario, plant, clock = self._scenario, self._plant, self._clock
-        trace = TraceWriter(self._folder.trace, scenario.arms, arm_limits(scenario.team.arm).joints)
-        self._trace = trace
-        self._start_wall = time.monotonic()
-        self._report("started")
+        if self._trace is None:
+            self._trace = self._open_trace()
+            self._report("started")
+        trace, checkpoints = self._trace, self._checkpoints
+        self._start_wall = time.monotonic() - checkpoints.story.wall_s
         try:
-            for tick in range(scenario.ticks):
+            for tick in range(plant.tick, scenario.ticks):
+                if checkpoints.is_due(tick):
+                    checkpoints.write(trace, time.monotonic() - self._start_wall)
                 self._happenings.before(tick)
                 clock.tick(tick)
                 before = plant.state_row() if tick % scenario.record.every_ticks == 0 else None
@@ -231,18 +277,25 @@ class Server:
             return False, str(failure)
         finally:
             self._newcomers.end()
-            trace.close()
+            trace.flush()
         return True, "reached its duration"
 
     def _conclude(self, completed: bool, why: str) -> Outcome:
         wall_s = time.monotonic() - self._start_wall
         self._report("ended", why=why)
-        folder = self._folder.path
-        ending = Ending(completed, why, wall_s, self._started_at)
+        folder, trace = self._folder.path, self._trace
+        assert trace is not None
+        trace.close()
+        ending = Ending(completed, why, wall_s)
         write_json(
             folder / RUN,
-            describe_run(self._run_name, self._named, self._plant, self._reception, self._clock, ending),
+            describe_run(
+                self._run_name, self._named, self._plant, self._reception, self._clock, self._checkpoints, ending
+            ),
         )
+        # The run has ended in order now, and nobody will go on with it.
+        trace.forget()
+        shutil.rmtree(folder / FOLDER, ignore_errors=True)
         verdict: Verdict = "unknown"
         if self._plant.tick:
             metrics, _ = compute_metrics(folder)
@@ -272,7 +325,7 @@ class Server:
                     tick=self._plant.tick,
                     ticks=self._scenario.ticks,
                     time_s=self._plant.time_s,
-                    real_time_factor=self._plant.time_s / wall_s if self._plant.tick else 0.0,
+                    real_time_factor=self._plant.time_s / wall_s if phase == "running" else 0.0,
                     tilt_deg=float(tilt_deg(pose.quat_wxyz[None])[0]),
                     goal_distance_m=distance,
                     missed_ticks=sum(agent.link.missed for agent in self._reception.followers.values()),

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from sim_server.snapshot import Snapshot
 from wire.link import Publisher
 
 OBSERVERS, OPERATOR, STRANGERS = "observers", "operator", "strangers"
@@ -55,3 +56,14 @@ class Tallies:
     def of(self, agent: str, key: str, direction: Direction) -> Tally:
         """The row; made when it is asked for first."""
         return self.rows.setdefault((agent, key, direction), Tally(agent, key, direction))
+
+    def state(self) -> Snapshot:
+        """All rows."""
+        rows = [[row.agent, row.key, row.direction, row.messages, row.size_bytes] for row in list(self.rows.values())]
+        return {"rows": rows}
+
+    def restore(self, saved: Snapshot) -> None:
+        """Count on from there. Before anybody can send anything, since every row has one writer."""
+        for agent, key, direction, messages, size_bytes in saved["rows"]:
+            row = self.of(str(agent), str(key), direction)
+            row.messages, row.size_bytes = int(messages), int(size_bytes)

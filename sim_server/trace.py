@@ -1,15 +1,20 @@
-"""trace.parquet: one row per recorded tick, written in blocks while the run goes on.
+"""trace.parquet: one row per recorded tick, made at the end from the rows that were written while the run went on.
+
+A Parquet file is worth nothing before its end is written, and a simulator that is killed writes no end. So the rows go
+to ``trace.parts/0001.rows`` first (sim_server/trace_rows.py), and a new file begins whenever other arms take part.
 
 Columns: ``tick``, ``time_s``, ``load.position`` (3), ``load.quat_wxyz`` (4), ``load.linear_velocity`` (3),
 ``load.angular_velocity`` (3), ``leader.force`` (3), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n,
 applied), ``a1.wrench`` (6), ``a1.stiffness`` (n), ``a1.base`` (3: x, y, yaw in the world), ``a1.base_velocity`` (3),
 ``a1.base_force`` (3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at the grasp, world) and
-``a1.age_ticks``.
+``a1.age_ticks``. Where an arm took no part its numbers are NaN and its age is null.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +22,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+
+from sim_server.trace_rows import RowFile, Segment
 
 Array = NDArray[np.float64]
 
@@ -51,61 +58,105 @@ def columns(arms: Iterable[str], joints: int) -> dict[str, int]:
 
 
 class TraceWriter:
-    """Collects rows and writes them block by block; the file is whole after :meth:`close`."""
+    """Writes the rows of a run, segment by segment; the trace is there after :meth:`close`.
 
-    def __init__(self, path: Path, arms: Iterable[str], joints: int) -> None:
-        self._path, self._joints = path, joints
-        self._parts: list[Path] = []
-        self._begin(arms)
+    Args:
+        path: of the trace. Its rows go to the folder ``<path without its ending>.parts`` until then.
+        arms: who takes part from the first row on.
+        joints: of an arm.
+        segments: of a run that goes on: what is kept. Rows that were written after those are dropped.
+    """
 
-    def _begin(self, arms: Iterable[str]) -> None:
-        part = self._path.with_suffix(f".{len(self._parts) + 1}.part") if self._parts else self._path
-        self._columns = columns(arms, self._joints)
-        self._schema = pa.schema([(name, _type(name, width)) for name, width in self._columns.items()])
-        self._writer: Any = pq.ParquetWriter(part, self._schema, compression="zstd")
-        self._parts.append(part)
-        self._block = np.empty((BLOCK_ROWS, sum(self._columns.values())))
-        self._filled = 0
+    def __init__(self, path: Path, arms: Iterable[str], joints: int, segments: Sequence[Segment] = ()) -> None:
+        self._path, self._parts, self._joints = path, path.with_suffix(".parts"), joints
+        self._files = [RowFile.kept(self._file(k), segment, self._width(segment)) for k, segment in _count(segments)]
+        if segments:
+            for file in self._parts.glob("*.rows"):
+                if file not in [each.path for each in self._files]:
+                    file.unlink()
+        else:
+            self._parts.mkdir()
+            self._begin(tuple(arms))
+
+    def _file(self, number: int) -> Path:
+        return self._parts / f"{number:04}.rows"
+
+    def _width(self, segment: Segment) -> int:
+        return sum(columns(segment.arms, self._joints).values())
+
+    def _begin(self, arms: tuple[str, ...]) -> None:
+        segment = Segment(arms, 0)
+        self._files.append(RowFile(self._file(len(self._files) + 1), segment, self._width(segment)))
 
     def segment(self, arms: Iterable[str]) -> None:
-        """From the next row on, these arms are there."""
-        self._finish()
-        self._begin(arms)
-
-    def _finish(self) -> None:
-        if self._filled:
-            self._flush()
-        self._writer.close()
+        """From the next row on, these arms take part and no others."""
+        arms = tuple(arms)
+        if arms != self._files[-1].arms:
+            self._files[-1].close()
+            self._begin(arms)
 
     def append(self, parts: list[Array]) -> None:
         """One row: the values of all columns in order, in pieces of any length."""
-        np.concatenate(parts, out=self._block[self._filled])
-        self._filled += 1
-        if self._filled == BLOCK_ROWS:
-            self._flush()
+        self._files[-1].append(parts)
 
-    def _flush(self) -> None:
-        arrays, start = [], 0
-        for name, width in self._columns.items():
-            values = self._block[: self._filled, start : start + width]
-            start += width
-            flat = pa.array(np.ascontiguousarray(values).ravel())
-            if width > 1:
-                arrays.append(pa.FixedSizeListArray.from_arrays(flat, width))
-            else:
-                arrays.append(flat.cast(_type(name, width)))
-        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
-        self._filled = 0
+    def flush(self) -> list[Segment]:
+        """Hand what was written to the system, which keeps it if this process is killed; what there is so far."""
+        self._files[-1].flush()
+        return [Segment(file.arms, file.rows) for file in self._files]
 
     def close(self) -> None:
-        """Write what is left and finish the file."""
-        self._finish()
-        if len(self._parts) == 1:
-            return
-        tables = [pq.read_table(part) for part in self._parts]
-        pq.write_table(pa.concat_tables(tables, promote_options="default"), self._path, compression="zstd")
-        for part in self._parts[1:]:
-            part.unlink()
+        """Make the trace of all segments, whole or not at all. The rows stay until :meth:`forget`."""
+        self._files[-1].close()
+        together = columns(dict.fromkeys(arm for file in self._files for arm in file.arms), self._joints)
+        schema = pa.schema([(name, _type(name, width)) for name, width in together.items()])
+        part = self._path.with_suffix(".part")
+        with pq.ParquetWriter(part, schema, compression="zstd") as writer:
+            for block in _blocks(_in(together, columns(file.arms, self._joints), file) for file in self._files):
+                writer.write_table(pa.Table.from_arrays(_arrays(together, block), schema=schema))
+        os.replace(part, self._path)
+
+    def forget(self) -> None:
+        """Remove the rows: the trace has them."""
+        shutil.rmtree(self._parts)
+
+
+def _count(segments: Sequence[Segment]) -> Iterator[tuple[int, Segment]]:
+    return enumerate(segments, start=1)
+
+
+def _in(together: Mapping[str, int], own: Mapping[str, int], file: RowFile) -> Iterator[Array]:
+    """A segment's rows, block by block, with columns of all segments: NaN where it has none."""
+    starts = dict(zip(own, np.cumsum([0, *own.values()]).tolist(), strict=False))
+    source = [starts[name] + k if name in own else -1 for name, width in together.items() for k in range(width)]
+    for block in file.read(BLOCK_ROWS):
+        padded = np.column_stack([block, np.full(len(block), np.nan)])
+        yield padded[:, source]
+
+
+def _blocks(segments: Iterable[Iterator[Array]]) -> Iterator[Array]:
+    """The rows of all segments in blocks of one size, so that the trace does not tell how they were written."""
+    waiting: list[Array] = []
+    for segment in segments:
+        for rows in segment:
+            waiting.append(rows)
+            while sum(map(len, waiting)) >= BLOCK_ROWS:
+                whole = np.concatenate(waiting)
+                yield whole[:BLOCK_ROWS]
+                waiting = [whole[BLOCK_ROWS:]]
+    if any(map(len, waiting)):
+        yield np.concatenate(waiting)
+
+
+def _arrays(named: Mapping[str, int], block: Array) -> list[Any]:
+    arrays, start = [], 0
+    for name, width in named.items():
+        values = np.ascontiguousarray(block[:, start : start + width]).ravel()
+        start += width
+        if width > 1:
+            arrays.append(pa.FixedSizeListArray.from_arrays(pa.array(values), width))
+        else:
+            arrays.append(pa.array(values, from_pandas=True).cast(_type(name, width)))  # a NaN becomes a null
+    return arrays
 
 
 def _type(name: str, width: int) -> Any:

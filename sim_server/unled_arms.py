@@ -6,11 +6,14 @@ load, no other arm. Each behaviour starts from the torque applied at that moment
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sim_server.snapshot import Snapshot, SnapshotError
 
 Array = NDArray[np.float64]
 
@@ -76,6 +79,10 @@ class Behaviour(Protocol):
         """Torque (n,) N m and base force (3,) in B; ``torque`` is what is applied now."""
         ...
 
+    def state(self) -> Snapshot:
+        """Which behaviour, and how far it has come: for :func:`behaviour_of`."""
+        ...
+
 
 class Limp:
     """Gravity compensated and damped; the base rolls freely."""
@@ -84,6 +91,9 @@ class Limp:
 
     def step(self, felt: FeltByOne, torque: Array, dt_s: float) -> tuple[Array, Array]:
         return felt.gravity - LIMP_DAMPING_NMS_RAD * felt.qd, np.zeros(3)
+
+    def state(self) -> Snapshot:
+        return {"kind": "limp"}
 
 
 class Brake:
@@ -101,6 +111,17 @@ class Brake:
         stiffness, damping = BRAKE_BASE
         force = felt.in_base(stiffness * (base - felt.base) - damping * felt.base_rate)
         return felt.gravity + borne + BRAKE_NM_RAD * (q - felt.q) - BRAKE_NMS_RAD * felt.qd, force
+
+    def state(self) -> Snapshot:
+        return {"kind": "brake", "start": self._start}
+
+    @classmethod
+    def of(cls, saved: Snapshot) -> Brake:
+        behaviour = cls()
+        if saved["start"] is not None:
+            q, base, borne = saved["start"]
+            behaviour._start = q, base, borne
+        return behaviour
 
 
 class Release:
@@ -125,6 +146,16 @@ class Release:
         force = STOP_BASE * (speed - felt.in_base(felt.base_rate))
         return felt.gravity + HOLD_NM_RAD * (wanted - felt.q) - HOLD_NMS_RAD * felt.qd, force
 
+    def state(self) -> Snapshot:
+        return {"kind": "release", "back_off_s": self._back_off_s, "q": self._q, "elapsed_s": self._elapsed_s}
+
+    @classmethod
+    def of(cls, saved: Snapshot) -> Release:
+        behaviour = cls()
+        behaviour._back_off_s = float(saved["back_off_s"])
+        behaviour._q, behaviour._elapsed_s = saved["q"], float(saved["elapsed_s"])
+        return behaviour
+
 
 class LetDown:
     """After a goodbye: what the arm bore fades, limp, over ``leave_s``; then the hand opens and all drive clear."""
@@ -148,6 +179,33 @@ class LetDown:
         share = 1.0 - smooth(self._elapsed_s / self._leave_s)
         self._elapsed_s += dt_s
         return limp + share * self._borne, force
+
+    def state(self) -> Snapshot:
+        after = self._after.state()
+        elapsed = {"leave_s": self._leave_s, "elapsed_s": self._elapsed_s}
+        return {"kind": "let_down", "borne": self._borne, "after": after, **elapsed}
+
+    @classmethod
+    def of(cls, saved: Snapshot) -> LetDown:
+        behaviour = cls(float(saved["leave_s"]))
+        behaviour._borne, behaviour._elapsed_s = saved["borne"], float(saved["elapsed_s"])
+        behaviour._after = Release.of(saved["after"])
+        return behaviour
+
+
+_OF: Mapping[str, Callable[[Snapshot], Behaviour]] = {
+    "limp": lambda saved: Limp(),
+    "brake": Brake.of,
+    "release": Release.of,
+    "let_down": LetDown.of,
+}
+
+
+def behaviour_of(saved: Snapshot) -> Behaviour:
+    """The behaviour whose :meth:`Behaviour.state` this is, as far along as it was."""
+    if saved["kind"] not in _OF:
+        raise SnapshotError(f"behaviour: got {saved['kind']!r}, expected one of {', '.join(_OF)}")
+    return _OF[saved["kind"]](saved)
 
 
 def smooth(s: float) -> float:

@@ -12,6 +12,7 @@ from agents.reach import Reach, ReachFailed
 from sim_server.grasping import load_pose
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario import Scenario
+from sim_server.snapshot import pack, unpack
 from sim_server.world import build_world, with_robots
 
 SEATS = {"a1": 0, "a2": 1, "a3": 2}
@@ -147,3 +148,26 @@ def test_a_strut_that_has_moved_meanwhile_is_missed_and_that_is_said() -> None:
     with pytest.raises(ReachFailed, match="closed on nothing"):
         reach(plant, push_at=1000)
     assert plant.hands.is_empty("a4")
+
+
+def test_a_plant_that_newcomers_have_come_to_goes_on_from_its_checkpoint_number_for_number() -> None:
+    """One robot has come, another has come and gone, a hand is closing on nothing."""
+    plant = braked()
+    exchange(plant, {**SEATS, "a4": 3})
+    plant.step()
+    exchange(plant, {**SEATS, "a7": 4})
+    plant.command("a7", np.zeros(7), np.zeros(3), np.zeros(7), 0.02)
+    for _ in range(100):
+        plant.read()
+        plant.step()
+    saved = pack(plant.state())
+    other = MujocoPlant(build_world(scenario()))
+    other.restore(unpack(saved))
+    assert other.names == plant.names
+    assert list(other.met) == list(plant.met)
+    assert pack(other.state()) == saved
+    for _ in range(50):
+        assert other.read() == plant.read()
+        for each in (plant, other):
+            each.step()
+    assert pack(other.state()) == pack(plant.state())

@@ -226,3 +226,29 @@ def test_refusals_are_counted_by_reason() -> None:
     for reason in (Reason.STALE, Reason.LEASE, Reason.STALE):
         link.count_refusal(reason)
     assert link.refused == {"stale": 2, "lease": 1}
+
+
+# A simulator that is started again
+
+
+@pytest.mark.parametrize("phase", list(Phase))
+def test_who_was_in_is_awaited_and_greets_anew_and_who_was_out_stays_out(phase: Phase) -> None:
+    before, link = link_in(phase), AgentLink(INVITATION)
+    before.missed, before.longest_miss = 7, 3
+    before.count_refusal(Reason.STALE)
+    was_in = phase in (Phase.HELLO, Phase.READY, Phase.TICKING)
+    assert link.resume(before.state()) is was_in
+    assert link.phase is (phase if phase in (Phase.LOST, Phase.LEFT) else Phase.ABSENT)
+    kept = (link.missed, link.longest_miss, link.states_sent, link.last_tick, link.refused)
+    assert kept == (7, 3, before.states_sent, before.last_tick, {Reason.STALE: 1})
+    lease = link.greet(HELLO)
+    assert lease > before.lease + 100  # so many instances may have been let in after the state was taken
+    link.matched()
+    link.state_sent(6)
+    assert refused(link, lambda: link.answer(command(6, lease=1))) is Reason.LEASE
+    link.answer(command(6, lease=lease))
+
+
+def test_a_life_with_a_phase_that_there_is_not_is_no_life() -> None:
+    with pytest.raises(ValueError, match="asleep"):
+        AgentLink(INVITATION).resume(AgentLink(INVITATION).state() | {"phase": "asleep"})

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
+from typing import Any
 
 from wire.errors import MisuseError, Reason, Refused
 from wire.messages import Command, Goodbye, Hello, LeaderForce
@@ -101,6 +102,12 @@ def check_hello(hello: Hello, invitation: Invitation) -> None:
     ):
         if got != expected:
             raise Refused(reason, what, got, expected, fix)
+
+
+LEASES_BETWEEN = 1000
+"""More greetings than come between two checkpoints of a simulator."""
+REMEMBERED = ("lease", "last_tick", "missed", "longest_miss", "states_sent")
+"""Numbers of an agent's life that outlive the simulator; the others belong to one instance of the agent."""
 
 
 @dataclass(slots=True)
@@ -254,6 +261,24 @@ class AgentLink:
             raise Refused(Reason.PHASE, "goodbye", f"one while {self.phase}", "an agent that is in")
         self._move(Event.SAID_GOODBYE)
         self.open_tick = None
+
+    def state(self) -> dict[str, Any]:
+        """What a simulator that is started again must know of this agent, in plain values."""
+        return {name: getattr(self, name) for name in REMEMBERED} | {"phase": str(self.phase), "refused": self.refused}
+
+    def resume(self, saved: Mapping[str, Any]) -> bool:
+        """Go on in a simulator that was started again; True if the agent is awaited.
+
+        Whoever was in is awaited: it greets anew, and gets a lease above all that the simulator before can have given
+        since this was saved. Whoever had been lost or had left may come back, as ever.
+        """
+        phase = Phase(saved["phase"])
+        for name in REMEMBERED:
+            setattr(self, name, int(saved[name]))
+        self.refused = {str(reason): int(times) for reason, times in saved["refused"].items()}
+        self.lease += LEASES_BETWEEN
+        self.phase = phase if phase in (Phase.LOST, Phase.LEFT) else Phase.ABSENT
+        return phase in (Phase.HELLO, Phase.READY, Phase.TICKING)
 
     def count_refusal(self, reason: Reason) -> None:
         """Remember that a message of this agent was refused."""
