@@ -155,7 +155,7 @@ def test_rounds_of_kill_and_start_leave_nothing_in_the_simulator(told: Told) -> 
         [min(each[what] for each in told.held if each[0] == starts) for starts in range(ROUNDS)] for what in (1, 2)
     )
     assert descriptors == [descriptors[0]] * ROUNDS
-    # Zenoh keeps a thread more or less for its blocking calls; one for every round would be ROUNDS - 1.
+    # One comes and goes, presumably Zenoh's for its blocking calls; one for every round would be ROUNDS - 1.
     assert threads[-1] - threads[0] < ROUNDS - 1
 
 
