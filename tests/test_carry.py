@@ -1,17 +1,20 @@
 """The claim itself: the paper's law carries the table to the goal, and adaptive stiffness does it better.
 
-``transport`` runs whole through the real processes. What is compared in numbers runs in one process, on the same plant,
-law and leader; that this gives the same numbers as the processes is seen from the two carries' equality.
+Whole carries run in one process here, on the same plant, law and leader, without a wire: a quarter of the time. That
+the real processes do the same is another claim, and tested as such: number for number, over the first part of a carry.
 """
 
 from __future__ import annotations
 
-import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from processes import run_to_end
 
 from agents.arm_model import ArmModel
@@ -27,18 +30,34 @@ from sim_server.world import build_world
 from wire.arms.limits import arm_limits
 from wire.messages import LeaderView
 
+Array = NDArray[Any]
 
-def carried(name: str, tmp_path: Path, changes: dict[str, Any]) -> dict[str, Any]:
-    """Metrics of a scenario carried in this process, without a wire."""
+
+@dataclass
+class Carry:
+    """What came of a carry."""
+
+    trace: Mapping[str, Array]
+    facts: TraceFacts
+
+    def metrics(self, until_s: float = math.inf) -> Mapping[str, Any]:
+        """Of its first part."""
+        rows = self.trace["time_s"] < until_s
+        return physical_metrics({name: values[rows] for name, values in self.trace.items()}, self.facts)
+
+
+def carry(name: str, tmp_path: Path, changes: dict[str, Any]) -> Carry:
+    """A scenario carried in this process, without a wire."""
     scenario = load_scenario(name, changes).scenario
     world = build_world(scenario)
     plant, arm, limits = MujocoPlant(world), ArmModel(scenario.team.arm), arm_limits(scenario.team.arm)
+    team = scenario.team
     laws = {
-        each: SafeController(
-            "law", make_controller(scenario.team.controller, arm, scenario.team.gains), arm, scenario.team.handover_s
-        )
+        each: SafeController("law", make_controller(team.controller, arm, team.gains), arm, team.handover_s)
         for each in scenario.arms
     }
+    for law in laws.values():
+        law.carry_at(plant.carry_height_m)
     leader = scenario.leader
     trace = TraceWriter(tmp_path / f"{name}.parquet", scenario.arms, limits.joints)
     for tick in range(scenario.ticks):
@@ -47,7 +66,7 @@ def carried(name: str, tmp_path: Path, changes: dict[str, Any]) -> dict[str, Any
             pose = plant.load_pose()
             view = LeaderView(
                 tick,
-                0,
+                tick * 1_000_000,
                 tuple(pose.position.tolist()),
                 tuple(pose.quat_wxyz.tolist()),
                 tuple(pose.linear_velocity.tolist()),
@@ -74,17 +93,18 @@ def carried(name: str, tmp_path: Path, changes: dict[str, Any]) -> dict[str, Any
         {each: world.struts[ids.strut].p.tolist() for each, ids in world.arms.items()},
         limits.torque_Nm,
     )
-    return physical_metrics(read_trace(tmp_path / f"{name}.parquet"), facts)
+    return Carry(read_trace(tmp_path / f"{name}.parquet"), facts)
 
 
-@pytest.mark.system
-@pytest.mark.timeout(400)  # 20 simulated seconds, at a third of real time on two busy cores and less on worse
-def test_four_silent_processes_carry_the_table_to_the_goal(tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    done = run_to_end("run", "transport", "--out", out, cwd=tmp_path, patience_s=380)
-    assert done.returncode == 0, done.stdout + done.stderr
-    metrics = json.loads((out / "metrics.json").read_text())
-    assert metrics["verdict"] == "holds"
+@pytest.fixture(scope="module")
+def transport(tmp_path_factory: pytest.TempPathFactory) -> Carry:
+    return carry("transport", tmp_path_factory.mktemp("transport"), {})
+
+
+@pytest.mark.timeout(400)
+def test_four_arms_carry_the_table_to_the_goal(transport: Carry) -> None:
+    metrics = transport.metrics()
+    assert metrics["duration_s"] == pytest.approx(20.0, abs=0.01)
     # The issue's own bounds, not what was measured: they must hold whatever else changes.
     assert metrics["goal_error_m"] <= 0.10
     assert metrics["end_speed_mm_s"] <= 5.0  # standing still: it would take minutes to leave the goal's 0.10 m
@@ -93,11 +113,26 @@ def test_four_silent_processes_carry_the_table_to_the_goal(tmp_path: Path) -> No
     assert metrics["leader_force_max_N"] <= 40.0
 
 
+@pytest.mark.system
+@pytest.mark.timeout(200)
+def test_four_silent_processes_do_the_same_number_for_number(transport: Carry, tmp_path: Path) -> None:
+    """Borders between processes, messages, credentials and walls change no bit of the carry."""
+    out = tmp_path / "run"
+    done = run_to_end("run", "transport", "--set", "duration_s=1.5", "--out", out, cwd=tmp_path)
+    assert done.returncode == 1, done.stdout + done.stderr  # the goal is not reached by then
+    real = read_trace(out / "trace.parquet")
+    rows = len(real["tick"])
+    assert rows == 300
+    for name, values in real.items():
+        if not name.endswith("age_ticks"):
+            np.testing.assert_array_equal(values, transport.trace[name][:rows], err_msg=name)
+
+
 @pytest.mark.timeout(300)
-def test_adaptive_stiffness_sags_and_tilts_clearly_less_than_fixed(tmp_path: Path) -> None:
-    span = {"duration_s": 6.0}  # the pull, the fastest part of the carry, and the start of braking
-    adaptive = carried("transport", tmp_path, span)
-    fixed = carried("transport-fixed-stiffness", tmp_path, span)
+def test_adaptive_stiffness_sags_and_tilts_clearly_less_than_fixed(transport: Carry, tmp_path: Path) -> None:
+    span_s = 6.0  # the pull, the fastest part of the carry, and the start of braking
+    adaptive = transport.metrics(span_s)
+    fixed = carry("transport-fixed-stiffness", tmp_path, {"duration_s": span_s}).metrics()
     # Seen: sag 7.9 and 13.8 mm, rms tilt 0.09 and 0.17 deg. "Clearly" is taken as a fifth less.
     assert adaptive["sag_max_mm"] < 0.8 * fixed["sag_max_mm"]
     assert adaptive["tilt_rms_deg"] < 0.8 * fixed["tilt_rms_deg"]
@@ -105,7 +140,7 @@ def test_adaptive_stiffness_sags_and_tilts_clearly_less_than_fixed(tmp_path: Pat
 
 @pytest.mark.timeout(300)
 def test_a_table_that_nobody_leads_is_held_and_hardly_drifts(tmp_path: Path) -> None:
-    metrics = carried("hold", tmp_path, {"duration_s": 5.0})
+    metrics = carry("hold", tmp_path, {"duration_s": 5.0}).metrics()
     assert metrics["sag_max_mm"] <= 12.0
     assert metrics["tilt_max_deg"] <= 0.5
     # Trap: with alpha = 1 in the law a sagging table runs away by metres. Seen: 3 mm/min; a hundred would be a runaway.

@@ -17,13 +17,15 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 SCENARIO = """
 extends = "hold"
 description = "Two arms hold a crate by two of four struts; a third and a fourth come."
-duration_s = 13.0
+duration_s = 11.5
+[clock]
+control_period_ms = 2
 [team]
 count = 2
 [load]
 mass_kg = 8.0
 [[events]]
-at_s = 2.5
+at_s = 0.1
 kind = "join"
 arm = "a7"
 strut = 3
@@ -67,16 +69,24 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
 
 
 def test_a_robot_that_the_scenario_foresees_comes_at_its_tick_and_carries(seen: Seen) -> None:
-    assert seen.of("ordered", "a7")["tick"] == seen.of("seen", "a7")["tick"] == 2500
+    assert seen.of("ordered", "a7")["tick"] == seen.of("seen", "a7")["tick"] == 50
     grasped = seen.of("grasped", "a7")
     assert grasped["force_max_N"] < 60.0
     trace = read_trace(seen.folder / "trace.parquet")
     tick, share = trace["tick"], trace["a7.grip"][:, 2]
-    assert np.isnan(share[tick < 2500]).all()
-    assert (share[(tick > 2500) & (tick < grasped["closed_at_tick"])] == 0.0).all()
-    later = share[tick > grasped["closed_at_tick"] + 1500]
-    assert len(later) > 100
-    assert later.mean() > 5.0, "of 78 N that four carry"
+    assert np.isnan(share[tick < 50]).all()
+    assert (share[(tick > 50) & (tick < grasped["closed_at_tick"])] == 0.0).all()
+    assert (share[tick > grasped["closed_at_tick"] + 5] != 0.0).all()
+
+
+def test_newcomers_take_a_part_of_the_weight(seen: Seen) -> None:
+    """How much is the law's: a light load makes it soft, and dry friction of 0.2 N m a joint is some newtons."""
+    trace = read_trace(seen.folder / "trace.parquet")
+    settled = trace["tick"] > seen.of("grasped", "a8")["tick"] + 250
+    assert np.count_nonzero(settled) > 10
+    shares = {arm: trace[f"{arm}.grip"][settled, 2].mean() for arm in ("a1", "a2", "a7", "a8")}
+    assert sum(shares.values()) == pytest.approx(8.0 * 9.81, rel=0.01)
+    assert shares["a7"] + shares["a8"] > 0.05 * 8.0 * 9.81
 
 
 def test_a_robot_that_nobody_foresaw_comes_when_it_is_wanted(seen: Seen) -> None:

@@ -33,6 +33,7 @@ from deploy.launcher import leader_arguments
 from sim_server.metrics import METRICS
 from sim_server.scenario_files import load_scenario
 from sim_server.trace import columns, read_trace
+from wire import PROTOCOL_VERSION
 from wire.arms import arm_digest
 from wire.codec import decode_any, encode
 from wire.keys import Keys
@@ -425,7 +426,7 @@ def test_parts_that_are_started_by_hand_make_a_run(by_hand: ByHand) -> None:
         ("model", "model", ("ur5e", "panda")),
         ("digest", "digest", ("000000000000", DIGEST[:12], "same release")),
         ("role", "role", ("leader", "follower")),
-        ("version", "version", ("999", "expected 1", "same release")),
+        ("version", "version", ("999", f"expected {PROTOCOL_VERSION}", "same release")),
         ("goodbye", "phase", ("absent",)),
         ("second_while_ticking", "taken", ("a1", "ticking", "one instance")),
     ],
