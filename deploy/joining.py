@@ -27,7 +27,7 @@ def join_run(folder: Path, strut: int) -> None:
     arm = ""
     for event in events:
         kind, at = event["kind"], f"{event['time_s']:.2f} s"
-        if kind == "refused_order" and event["strut"] == strut:
+        if kind == "refused_order" and event["strut"] == strut and event.get("agent", "") == arm:
             fail(event["text"], BAD_INPUT)
         elif kind == "wanted" and event["strut"] == strut and not arm:
             arm = event["agent"]

@@ -118,6 +118,8 @@ class Launcher:
 
     def _start_agent(self, name: str) -> None:
         """Start an agent's process, for the first time or again: with the same credential, in a room of its own."""
+        if name not in self._agents:
+            raise LookupError(f"nobody has a credential for {name}: a run has {SPARE_NAMES} for robots not foreseen")
         access, secret = self._agent_access(name)
         self._spawn(name, [*self._agents[name], *access], secret, self._rooms.make())
 

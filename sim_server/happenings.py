@@ -18,6 +18,7 @@ from sim_server.newcomers import CannotCome
 from sim_server.reception import Reception, Report
 from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Verb, in_order
 from sim_server.snapshot import Snapshot, SnapshotError
+from sim_server.world_builder import NotBuilt
 from wire.codec import encode
 from wire.lifecycle import Phase
 from wire.link import Publisher
@@ -60,6 +61,8 @@ class Arrivals(Protocol):
     def is_ready(self, arm: str) -> bool: ...
 
     def arrive(self, arm: str) -> float: ...
+
+    def cancel(self, arm: str) -> None: ...
 
 
 class Plant(Protocol):
@@ -177,17 +180,18 @@ class Happenings:
             self._due = [(tick + 1, event), *self._due]
             return
         self._report("ordered", event=event.kind, agent=event.arm, strut=event.strut)
-        number = self._prepared[event.arm]
-        if number:
-            self._wait(lambda: number in self._clock.done, event, "the launcher has not reported it", self._start_s)
-            if self._clock.done[number]:
-                raise Undone(_sentence(event, self._clock.done[number]))
+        foreseen = event not in self._unforeseen
         try:
+            self._await_its_process(event)
             pause_s = self._newcomers.arrive(event.arm)
-        except CannotCome as error:
-            raise Undone(_sentence(event, str(error))) from None
+        except (CannotCome, NotBuilt) as error:
+            self._newcomers.cancel(event.arm)
+            if foreseen:
+                raise Undone(_sentence(event, str(error))) from None
+            self._report("refused_order", event=event.kind, agent=event.arm, strut=event.strut, text=str(error))
+            return
         agent = self._reception.agents[event.arm]
-        if self._waits:
+        if self._waits and foreseen:  # what nobody foresaw repeats in no case, and must not hold the others up
             self._wait(lambda: agent.is_in and agent.alive, event, "it has not joined", self._start_s)
         effect = f"it stands outside, by strut {event.strut}"
         self._report("seen", event=event.kind, agent=event.arm, effect=effect, pause_ms=1e3 * pause_s)
@@ -213,6 +217,14 @@ class Happenings:
             self._want(int(tick), str(arm), int(strut))
         self._slips = [(int(tick), str(arm)) for tick, arm in saved["slips"]]
         self._number = int(saved["number"])
+
+    def _await_its_process(self, event: Join) -> None:
+        """Raises :class:`CannotCome` if the launcher could not start it."""
+        number = self._prepared[event.arm]
+        if number:
+            self._wait(lambda: number in self._clock.done, event, "the launcher has not reported it", self._start_s)
+            if self._clock.done[number]:
+                raise CannotCome(self._clock.done[number])
 
     def _do(self, event: ProcessEvent) -> str:
         """Have it done; what was seen of it."""

@@ -92,7 +92,12 @@ class Newcomers:
         return self._coming[arm].build.advance(self._plant.world)
 
     def arrive(self, arm: str) -> float:
-        """Exchange the worlds; the wall time that took, s. Raises :class:`CannotCome` if its strut is held."""
+        """Exchange the worlds; the wall time that took, s.
+
+        Raises:
+            CannotCome: its strut is held.
+            NotBuilt: there is no world with it.
+        """
         start = time.perf_counter()
         coming = self._coming.pop(arm)
         seats = {**self._seats(), arm: coming.strut}
@@ -108,6 +113,11 @@ class Newcomers:
         self._changed(self._plant.names)
         self._reception.let_in(arm)
         return time.perf_counter() - start
+
+    def cancel(self, arm: str) -> None:
+        """It does not come after all."""
+        if coming := self._coming.pop(arm, None):
+            coming.build.end()
 
     def end(self) -> None:
         """The run is over: nobody comes any more."""

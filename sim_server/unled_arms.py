@@ -27,7 +27,7 @@ HOLD_NM_RAD, HOLD_NMS_RAD = 200.0, 20.0
 DRAW_BACK_RAD = -0.5
 """Turn of the second joint (the shoulder) that takes the Panda's hand 0.25 m up and 0.08 m back."""
 DRAW_BACK_S = 2.0
-BACK_OFF_M, BACK_OFF_M_S = 0.6, 0.2
+BACK_OFF_M, BACK_OFF_M_S = 1.2, 0.3
 """How far and how fast the base of an arm that left drives backward once its hand is up."""
 STOP_BASE = np.array([2_000.0, 2_000.0, 200.0])
 """Damping towards the wanted base velocity: N s/m, N m s/rad."""

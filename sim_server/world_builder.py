@@ -38,6 +38,7 @@ class Build:
         self._file = self._folder / "model.mjb"
         self._assembly: Generator[None, None, World] | None = None
         self._world: World | None = None
+        self._problem = ""
         self._process = subprocess.Popen(
             [sys.executable, "-m", "sim_server.world_builder"],
             stdin=subprocess.PIPE,
@@ -53,13 +54,14 @@ class Build:
 
     def advance(self, here: World) -> bool:
         """Do a little of what is left to do in this process, a millisecond or so; True when :meth:`world` has nothing
-        more to do. ``here`` is the world that there is now. Raises :class:`NotBuilt`."""
-        if self._world is None and self._process.poll() is not None:
+        more to wait for. ``here`` is the world that there is now."""
+        if self._world is None and not self._problem and self._process.poll() is not None:
             if self._assembly is None:
-                self._assembly = with_robots(here, self.seats, self._model())
+                model = self._model()
+                self._assembly = None if model is None else with_robots(here, self.seats, model)
             else:
                 self._step(self._assembly)
-        return self._world is not None
+        return self._world is not None or bool(self._problem)
 
     def world(self, here: World) -> World:
         """The world, waited for if need be. Raises :class:`NotBuilt`."""
@@ -68,8 +70,10 @@ class Build:
         except subprocess.TimeoutExpired:
             self.end()
             raise NotBuilt(f"the world was not built within {BUILD_S:g} s") from None
-        while self._world is None:
-            self.advance(here)
+        while not self.advance(here):
+            pass
+        if self._world is None:
+            raise NotBuilt(self._problem)
         return self._world
 
     def _step(self, assembly: Generator[None, None, World]) -> None:
@@ -79,12 +83,14 @@ class Build:
             self._world = end.value
 
     def _model(self) -> Any:
+        """The model that the other process made; None if it did not, and why is the problem."""
         try:
-            if self._process.returncode:
-                errors = self._process.stderr.read() if self._process.stderr else ""
-                last = errors.strip().splitlines()[-1:] or ["it said nothing"]
-                raise NotBuilt(f"the world with {', '.join(self.seats)} could not be built: {last[0]}")
-            return read_model(self._file)
+            if self._process.returncode == 0:
+                return read_model(self._file)
+            errors = self._process.stderr.read() if self._process.stderr else ""
+            last = errors.strip().splitlines()[-1:] or ["it said nothing"]
+            self._problem = f"the world with {', '.join(self.seats)} could not be built: {last[0]}"
+            return None
         finally:
             self.end()
 

@@ -15,13 +15,14 @@ from sim_server.errors import ScenarioError
 from sim_server.grasping import Closing
 from sim_server.happenings import Happenings, Undone
 from sim_server.newcomers import CannotCome
-from sim_server.scenario_events import FailGrasp, ProcessEvent, Verb, check_events
+from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Verb, check_events
 from sim_server.scenario_files import load_scenario
+from sim_server.world_builder import NotBuilt
 from wire.codec import decode, encode
 from wire.errors import Reason
 from wire.keys import Keys
 from wire.lifecycle import Phase
-from wire.messages import Deed, Done, Goodbye
+from wire.messages import Deed, Done, Goodbye, Order
 
 # The file
 
@@ -113,6 +114,9 @@ class NoNewcomers:
     def arrive(self, arm: str) -> float:
         raise NotImplementedError
 
+    def cancel(self, arm: str) -> None:
+        raise NotImplementedError
+
 
 class NoHands:
     """A plant's hands that only write down."""
@@ -132,7 +136,7 @@ class NoHands:
 class Stage:
     """A bench with events, and a launcher that does deeds to agents in memory."""
 
-    def __init__(self, *events: ProcessEvent | FailGrasp, launcher: bool = True) -> None:
+    def __init__(self, *events: AnyEvent, launcher: bool = True) -> None:
         self.bench = Bench()
         self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in ("a1", "a2")}
         self.hands = NoHands()
@@ -307,3 +311,67 @@ def test_a_failing_grasp_is_loose_and_then_opens_at_its_tick() -> None:
     assert stage.bench.reported("hand_opened") == [{"agent": "a1"}]
     assert stage.reported("ordered") == [("fail_grasp", "a1")]
     assert stage.reported("seen") == [("fail_grasp", "a1")] * 2
+
+
+class BrokenBuild(NoNewcomers):
+    """Somebody may come, but there is never a world with it."""
+
+    def __init__(self) -> None:
+        self.cancelled: list[str] = []
+
+    def check(self, strut: int) -> None:
+        pass
+
+    def next_name(self) -> str:
+        return "a9"
+
+    def prepare(self, arm: str, strut: int) -> None:
+        pass
+
+    def is_ready(self, arm: str) -> bool:
+        return True
+
+    def arrive(self, arm: str) -> float:
+        raise NotBuilt("the world with a9 could not be built")
+
+    def cancel(self, arm: str) -> None:
+        self.cancelled.append(arm)
+
+
+def test_a_robot_that_somebody_wants_and_that_cannot_come_is_refused_and_the_run_goes_on() -> None:
+    stage = Stage()
+    stage.orders.put(encode(Order("join", 7)))
+    assert stage.run(5) < TIMEOUT_S
+    (refused,) = stage.bench.reported("refused_order")
+    assert (refused["strut"], refused["text"]) == (7, "strut 7: nobody comes")
+    assert stage.bench.commands("a1") == [tick + 0.5 for tick in range(5)]
+
+
+@pytest.mark.parametrize("launcher", ["starts it", "cannot start it"])
+def test_a_robot_whose_world_or_process_cannot_be_made_does_not_end_a_run_that_did_not_foresee_it(
+    launcher: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(happenings, "LEAD_S", 0.003)
+    stage, newcomers = Stage(), BrokenBuild()
+    stage.happenings._newcomers = newcomers
+    problem = "no process could be started" if launcher == "cannot start it" else ""
+    stage.do = lambda deed: problem
+    stage.orders.put(encode(Order("join", 4)))
+    assert stage.run(8) < TIMEOUT_S
+    (wanted,) = stage.bench.reported("wanted")
+    (refused,) = stage.bench.reported("refused_order")
+    assert (wanted["agent"], refused["agent"]) == ("a9", "a9")
+    assert refused["text"] == (problem or "the world with a9 could not be built")
+    assert newcomers.cancelled == ["a9"]
+    assert stage.bench.commands("a1") == [tick + 0.5 for tick in range(8)]
+
+
+def test_a_robot_that_the_scenario_foresees_and_that_cannot_come_ends_the_run_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(happenings, "LEAD_S", 0.001)
+    stage = Stage(Join(at_s=0.003, kind="join", arm="a9", strut=4))
+    stage.happenings._newcomers = BrokenBuild()
+    stage.do = lambda deed: ""
+    with pytest.raises(Undone, match=r"event 'join' of a9 at 0\.003 s was not done: the world with a9 could not"):
+        stage.run(5)

@@ -14,6 +14,7 @@ from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario import Scenario
 from sim_server.snapshot import pack, unpack
 from sim_server.world import build_world, with_robots
+from sim_server.world_builder import Build, NotBuilt
 
 SEATS = {"a1": 0, "a2": 1, "a3": 2}
 
@@ -171,3 +172,12 @@ def test_a_plant_that_newcomers_have_come_to_goes_on_from_its_checkpoint_number_
         for each in (plant, other):
             each.step()
     assert pack(other.state()) == pack(plant.state())
+
+
+def test_a_world_that_cannot_be_built_is_one_sentence_and_leaves_nothing() -> None:
+    plant = braked()
+    build = Build(plant.world.scenario, {**SEATS, "a4": 99})
+    with pytest.raises(NotBuilt, match="the world with a1, a2, a3, a4 could not be built: [^ ]"):
+        build.world(plant.world)
+    assert not build._folder.exists()
+    assert build.advance(plant.world), "nothing more to wait for"

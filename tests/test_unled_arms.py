@@ -125,7 +125,8 @@ def test_an_arm_that_leaves_lets_its_share_down_before_its_hand_opens_and_drives
     assert not holds(plant, "a2")
     assert run(plant, 6.0) < 2.0
     moved = plant._data.qpos[plant.world.arms["a2"].base_qpos] - base
-    assert 0.4 < float(np.linalg.norm(moved[:2])) < 0.7  # 0.6 m, less the slip of a velocity drive against resistance
+    # 1.2 m, less the slip of a velocity drive against resistance: out of the way of a neighbour's base that follows.
+    assert 0.8 < float(np.linalg.norm(moved[:2])) < 1.3
 
 
 def test_braked_arms_hold_the_table_where_it_is() -> None:
