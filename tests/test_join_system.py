@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from processes import launched, not_violated, read_events, read_json, run_to_end
+from processes import HUNG, launched, not_violated, read_events, read_json, run_to_end
 
 from sim_server.trace import read_trace
 
@@ -16,8 +17,8 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 SCENARIO = """
 extends = "hold"
-description = "Two arms hold a crate by two of four struts; a third and a fourth come."
-duration_s = 11.5
+description = "Two arms hold a table by two of four struts; a third and a fourth come; then it is stopped."
+duration_s = 120.0
 [clock]
 control_period_ms = 2
 [team]
@@ -54,10 +55,11 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     (cwd / "join.toml").write_text(SCENARIO)
     with launched("join.toml", cwd, {}) as run:
         run.command.wait_until(lambda: run.has("started"), "the start")
-        taken = run_to_end("join", run.folder, "--strut", "1", cwd=cwd)
         came = run_to_end("join", run.folder, "--strut", "4", cwd=cwd, patience_s=200)
+        taken = run_to_end("join", run.folder, "--strut", "1", cwd=cwd)
+        run.wait_until_carrying(run.simulated_s() + 1.0)  # its law has taken over
+        run.command.process.send_signal(signal.SIGINT)
         run.command.end()
-        run.command.look()
         return Seen(
             run.folder,
             run.command.said(),
@@ -107,7 +109,7 @@ def test_a_strut_that_is_held_is_refused_in_one_sentence(seen: Seen) -> None:
 
 def test_the_load_stays_up_and_the_run_ends_as_any_other(seen: Seen) -> None:
     run, metrics = read_json(seen.folder / "run.json"), read_json(seen.folder / "metrics.json")
-    assert run["ended"]["completed"]
+    assert run["ended"]["why"] == "stopped by the operator"
     assert {name: agent["phase"] for name, agent in run["agents"].items()} == dict.fromkeys(
         ("a1", "a2", "a7", "a8"), "ticking"
     )
@@ -115,7 +117,7 @@ def test_the_load_stays_up_and_the_run_ends_as_any_other(seen: Seen) -> None:
     assert metrics["grasp_force_max_N"] < 60.0
     assert metrics["tilt_max_deg"] < 1.0
     assert set(metrics["load_share"]) == {"a1", "a2", "a7", "a8"}
-    not_violated(read_json(seen.folder / "audit.json"))
+    not_violated(read_json(seen.folder / "audit.json"), HUNG)
     assert seen.left_over == []
     assert not (seen.folder / "orders").exists()
     assert list(seen.folder.glob("trace.*part*")) == []

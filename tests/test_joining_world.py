@@ -177,7 +177,7 @@ def test_a_plant_that_newcomers_have_come_to_goes_on_from_its_checkpoint_number_
 def test_a_world_that_cannot_be_built_is_one_sentence_and_leaves_nothing() -> None:
     plant = braked()
     build = Build(plant.world.scenario, {**SEATS, "a4": 99})
-    with pytest.raises(NotBuilt, match="the world with a1, a2, a3, a4 could not be built: [^ ]"):
+    with pytest.raises(NotBuilt, match=r"the world with a1, a2, a3, a4 could not be built: [^ ]"):
         build.world(plant.world)
     assert not build._folder.exists()
     assert build.advance(plant.world), "nothing more to wait for"
