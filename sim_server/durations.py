@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
+import numpy as np
+
 from sim_server.snapshot import Snapshot
 
 KEPT_BITS = 8
@@ -45,12 +47,16 @@ class Durations:
         return 0
 
     def state(self) -> Snapshot:
-        """All counts."""
-        return {"counts": sorted(self._counts.items()), "max_ns": self.max_ns}
+        """All counts, as numbers in memory have them: a list of thousands would cost the tick milliseconds."""
+        many = len(self._counts)
+        values = np.fromiter(self._counts, np.int64, many)
+        counts = np.fromiter(self._counts.values(), np.int64, many)
+        return {"values": values.tobytes(), "counts": counts.tobytes(), "max_ns": self.max_ns}
 
     def restore(self, saved: Snapshot) -> None:
         """Count on from there."""
-        self._counts = Counter({int(value): int(times) for value, times in saved["counts"]})
+        values, counts = (np.frombuffer(saved[name], np.int64).tolist() for name in ("values", "counts"))
+        self._counts = Counter(dict(zip(values, counts, strict=True)))
         self.max_ns = int(saved["max_ns"])
 
     def spread_us(self) -> dict[str, float]:

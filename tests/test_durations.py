@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_server.durations import Durations
+from sim_server.snapshot import pack, unpack
 
 
 def counted(values: list[int]) -> Durations:
@@ -34,3 +35,14 @@ def test_memory_goes_by_the_range_of_the_values_and_not_by_their_number() -> Non
     found = counted([int(value) for value in 1e3 * 2 ** rng.uniform(0, 14, size=200_000)])
     assert len(found) == 200_000
     assert found.told_apart <= 15 * 128
+
+
+@given(st.lists(st.integers(0, 10**12), max_size=100), st.lists(st.integers(0, 10**12), max_size=100))
+def test_counting_goes_on_from_what_was_saved(before: list[int], after: list[int]) -> None:
+    resumed = counted([3])  # whatever it held is gone
+    resumed.restore(unpack(pack(counted(before).state())))
+    for value in after:
+        resumed.append(value)
+    whole = counted(before + after)
+    assert (len(resumed), resumed.max_ns) == (len(whole), whole.max_ns)
+    assert [resumed.percentile_ns(p) for p in range(0, 101, 10)] == [whole.percentile_ns(p) for p in range(0, 101, 10)]
