@@ -10,10 +10,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import importlib.metadata
 import logging
-import signal
 import sys
-import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -23,11 +20,10 @@ from rich.console import Console
 from deploy.chaos.commands import app as chaos_app
 from deploy.credentials_cli import credentials, router
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
-from deploy.guard import Interrupted, end_with_parent, raise_on_signals
+from deploy.guard import end_with_parent, leave_on_signals, raise_on_signals, stop_on_signals, stop_or_exit
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-HARD_EXIT_S = 20.0
 RECONNECT_S = 30.0
 """Time to start a simulator that was killed again, by hand. Agents of a launched run end with it."""
 
@@ -74,77 +70,9 @@ def run(
     set_: Settings = None,
 ) -> None:
     """Run a scenario: simulator, followers and leader as processes of this machine."""
-    from agents.arm_model import ArmModel
-    from agents.controllers import make_controller
-    from deploy.launcher import Launcher, everybody
-    from deploy.report import PatientConsole, progress_display
-    from sim_server.scenario_files import load_scenario
-    from sim_server.server import check_world, default_folder
-    from wire.access import Role
-    from wire.credentials import for_one_run
-    from wire.zenoh_link import free_endpoint, open_client
+    from deploy.running import run_scenario
 
-    arguments = ["--seed", str(seed)] if seed is not None else []
-    for setting in set_ or []:
-        arguments += ["--set", setting]
-    arguments += ["--", scenario]
-    named = load_scenario(scenario, scenario_changes(seed, set_))
-    team = named.scenario.team
-    sys.path.insert(0, os.getcwd())  # for a controller of the user's own
-    make_controller(team.controller, ArmModel(team.arm), team.gains)
-    check_world(named)
-    folder = (out or default_folder(Path("runs"), named.name)).absolute()
-    console = PatientConsole()
-    endpoint = free_endpoint()
-    # The run's name is told to the followers; a scenario's name may say what no follower may know.
-    guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR])
-    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests)
-    problem = ""
-    try:
-        launcher.start()
-        if launcher.sim.process.poll() is not None:
-            fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
-        with open_client(endpoint, guests.of(Role.OPERATOR)) as link, progress_display(console) as show:
-            try:
-                ended = launcher.watch(link, show)
-                if launcher.sim.process.poll() is None:
-                    launcher.order_stop(link)
-                status, problem = ended.status, ended.problem
-            except Interrupted as interrupted:
-                launcher.order_stop(link)
-                status, problem = COULD_NOT_RUN, str(interrupted)
-    finally:
-        launcher.end_all()
-    _conclude(console, folder, status, problem)
-
-
-def _conclude(console: Console, folder: Path, status: int, problem: str) -> None:
-    """Print what a run left, draw its picture, and exit."""
-    from sim_server.run_folder import METRICS, compute_metrics
-
-    if (folder / METRICS).exists():
-        from deploy.report import print_metrics
-
-        metrics, judged = compute_metrics(folder)
-        print_metrics(console, metrics, judged)
-        picture = _draw(folder)
-        console.print(f"run folder: {folder}" + (f" (picture: {picture.name})" if picture else ""), soft_wrap=True)
-    else:
-        console.print(f"no metrics: the run did not end in order; run folder: {folder}", soft_wrap=True)
-    if problem:
-        fail(problem, status)
-    raise typer.Exit(status)
-
-
-def _draw(folder: Path) -> Path | None:
-    """The run's picture; None without the extra ``view``."""
-    try:
-        from deploy.picture import draw_run
-    except ModuleNotFoundError as missing:
-        if missing.name is not None and missing.name.partition(".")[0] == "matplotlib":
-            return None
-        raise
-    return draw_run(folder)
+    raise typer.Exit(run_scenario(scenario, out, seed, set_))
 
 
 @app.command()
@@ -200,9 +128,9 @@ def sim(
         folder = again or RunFolder(out or default_folder(Path("runs"), named.name))
         listening = None if connect_router else parse_endpoint(listen)
         server = Server(link, named, name, folder, names_proven=not open_, listening=listening, checkpoint=checkpoint)
-        _stop_on_signals(server.stop)
+        stop_on_signals(server.stop)
         if with_parent:
-            end_with_parent(lambda: _stop_or_exit(server.stop), even_if_stopped=False)
+            end_with_parent(lambda: stop_or_exit(server.stop), even_if_stopped=False)
         if open_:
             print(f"open: {OPEN_MEANS}")
         print(f"run {name} at {connect_router or listen}, waiting for {', '.join(named.scenario.arms)}", flush=True)
@@ -245,7 +173,7 @@ def follower(
     Keys(run).arm(arm)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
-    _leave_on_signals()
+    leave_on_signals()
     with open_client(connect, own) as link:
         print(f"{arm}: {run_follower(link, settings)}")
 
@@ -288,7 +216,7 @@ def leader(
     )
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
-    _leave_on_signals()
+    leave_on_signals()
     with open_client(connect, own) as link:
         print(f"leader: {run_leader(link, settings)}")
 
@@ -349,29 +277,10 @@ def _log_to_stderr() -> None:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
 
 
-def _stop_on_signals(stop: Callable[[], None]) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: stop())
-
-
 def _raise_walls(connect: str) -> None:
     from deploy.walls import shut_in
 
     print(shut_in(connect), flush=True)
-
-
-def _leave_on_signals() -> None:
-    """Let an agent that is told to go say goodbye: it takes KeyboardInterrupt for that."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
-
-
-def _stop_or_exit(stop: Callable[[], None]) -> None:
-    """Stop in order; if that does not work, stop."""
-    stop()
-    timer = threading.Timer(HARD_EXIT_S, os._exit, [COULD_NOT_RUN])
-    timer.daemon = True
-    timer.start()
 
 
 def main() -> None:

@@ -10,7 +10,11 @@ import threading
 from collections.abc import Callable
 from types import FrameType
 
+from deploy.exit_status import COULD_NOT_RUN
+
 _PR_SET_PDEATHSIG = 1
+HARD_EXIT_S = 20.0
+"""Time that an orderly stop gets."""
 
 
 def end_with_parent(on_end: Callable[[], None], *, even_if_stopped: bool) -> None:
@@ -57,3 +61,23 @@ def raise_on_signals() -> None:
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, interrupt)
+
+
+def stop_on_signals(stop: Callable[[], None]) -> None:
+    """Whoever asks the process to end, by whichever signal, asks it to stop in order."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: stop())
+
+
+def leave_on_signals() -> None:
+    """Let an agent that is told to go say goodbye: it takes KeyboardInterrupt for that."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+
+
+def stop_or_exit(stop: Callable[[], None]) -> None:
+    """Stop in order; if that does not work, stop."""
+    stop()
+    timer = threading.Timer(HARD_EXIT_S, os._exit, [COULD_NOT_RUN])
+    timer.daemon = True
+    timer.start()

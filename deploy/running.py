@@ -1,0 +1,92 @@
+"""``palanquin run``: a scenario from its file to its verdict, with all its processes on this machine."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from agents.arm_model import ArmModel
+from agents.controllers import make_controller
+from deploy.exit_status import COULD_NOT_RUN, fail
+from deploy.guard import Interrupted
+from deploy.launcher import Launcher, everybody
+from deploy.report import PatientConsole, print_metrics, progress_display
+from deploy.settings import scenario_changes
+from sim_server.run_folder import METRICS, compute_metrics
+from sim_server.scenario_files import load_scenario
+from sim_server.server import check_world, default_folder
+from wire.access import Role
+from wire.credentials import for_one_run
+from wire.zenoh_link import free_endpoint, open_client
+
+
+def run_scenario(scenario: str, out: Path | None, seed: int | None, settings: Sequence[str] | None) -> int:
+    """Launch it, show its progress, print what it left; the exit status.
+
+    Args:
+        scenario: a name or a file.
+        out: the run folder; a dated one under runs/ by default.
+        seed: another seed.
+        settings: values to change, each ``KEY=VALUE``.
+    """
+    arguments = ["--seed", str(seed)] if seed is not None else []
+    for setting in settings or []:
+        arguments += ["--set", setting]
+    arguments += ["--", scenario]
+    named = load_scenario(scenario, scenario_changes(seed, settings))
+    team = named.scenario.team
+    sys.path.insert(0, os.getcwd())  # for a controller of the user's own
+    make_controller(team.controller, ArmModel(team.arm), team.gains)
+    check_world(named)
+    folder = (out or default_folder(Path("runs"), named.name)).absolute()
+    console = PatientConsole()
+    endpoint = free_endpoint()
+    # The run's name is told to the followers; a scenario's name may say what no follower may know.
+    guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR])
+    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests)
+    problem = ""
+    try:
+        launcher.start()
+        if launcher.sim.process.poll() is not None:
+            fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
+        with open_client(endpoint, guests.of(Role.OPERATOR)) as link, progress_display(console) as show:
+            try:
+                ended = launcher.watch(link, show)
+                if launcher.sim.process.poll() is None:
+                    launcher.order_stop(link)
+                status, problem = ended.status, ended.problem
+            except Interrupted as interrupted:
+                launcher.order_stop(link)
+                status, problem = COULD_NOT_RUN, str(interrupted)
+    finally:
+        launcher.end_all()
+    return _conclude(console, folder, status, problem)
+
+
+def _conclude(console: Console, folder: Path, status: int, problem: str) -> int:
+    """Print what a run left and draw its picture; the exit status."""
+    if (folder / METRICS).exists():
+        metrics, judged = compute_metrics(folder)
+        print_metrics(console, metrics, judged)
+        picture = _draw(folder)
+        console.print(f"run folder: {folder}" + (f" (picture: {picture.name})" if picture else ""), soft_wrap=True)
+    else:
+        console.print(f"no metrics: the run did not end in order; run folder: {folder}", soft_wrap=True)
+    if problem:
+        fail(problem, status)
+    return status
+
+
+def _draw(folder: Path) -> Path | None:
+    """The run's picture; None without the extra ``view``."""
+    try:
+        from deploy.picture import draw_run
+    except ModuleNotFoundError as missing:
+        if missing.name is not None and missing.name.partition(".")[0] == "matplotlib":
+            return None
+        raise
+    return draw_run(folder)
