@@ -52,6 +52,8 @@ class Follower:
         self._controller = SafeController(settings.controller, law, self.arm, settings.handover_s)
         self._last: State | None = None
         self._reach: Reach | None = None
+        self._grip_m = 0.0
+        """What was wanted of the fingers last."""
 
     def begin(self, welcome: Welcome) -> None:
         """Let in: reach for the strut first, if the hand is empty; then carry."""
@@ -81,30 +83,30 @@ class Follower:
         dt_s = period_s if self._last is None else 1e-9 * (state.time_ns - self._last.time_ns)
         self._last = state
         start = time.perf_counter_ns()
-        q, qd, grip_m = np.array(state.q), np.array(state.qd), 0.0
+        q, qd, self._grip_m = np.array(state.q), np.array(state.qd), 0.0
         if self._reach is not None:
-            effort, grip_m = self._reach.step(q, qd, state.grip_m, state.odometry, dt_s)
+            effort, self._grip_m = self._reach.step(q, qd, state.grip_m, state.odometry, dt_s)
             if self._reach.holds:
                 log.info("arm %s: holds its strut, carries", self.settings.arm)
                 self._reach = None
         else:
             effort = self._controller.step(Sensed(q, qd, np.array(state.tau), np.array(state.wrench)), dt_s)
-        return self._command(state.tick, lease, effort, grip_m, time.perf_counter_ns() - start)
+        return self._command(state.tick, lease, effort, time.perf_counter_ns() - start)
 
     def hold(self, lease: int) -> Command | None:
         """The command for when states stop coming; None if there never was one."""
         if self._last is None:
             return None
-        return self._command(self._last.tick, lease, hold_effort(self.arm, np.array(self._last.q)), 0.0, 0)
+        return self._command(self._last.tick, lease, hold_effort(self.arm, np.array(self._last.q)), 0)
 
-    def _command(self, tick: int, lease: int, effort: CheckedEffort, grip_m: float, step_ns: int) -> Command:
+    def _command(self, tick: int, lease: int, effort: CheckedEffort, step_ns: int) -> Command:
         return Command(
             arm=self.settings.arm,
             tick=tick,
             lease=lease,
             torque=effort.torque,
             base_force=effort.base_force,
-            grip_m=grip_m,
+            grip_m=self._grip_m,
             stiffness=effort.stiffness,
             step_ns=step_ns,
         )

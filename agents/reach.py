@@ -37,6 +37,8 @@ DRIVE = (0.4, 0.5, 2.0, 0.5)
 ARRIVED_M, ARRIVED_RAD, STOPPED_M_S = 0.003, 0.005, 0.005
 BASE_DAMPING = np.array([20_000.0, 20_000.0, 2_000.0])
 """Towards the wanted speed of the base: N s/m, N m s/rad."""
+BASE_MAX = np.array([1000.0, 1000.0, 200.0])
+"""What is asked of the base's drive at most: N, N, N m."""
 JOINT_NM_RAD, JOINT_NMS_RAD = 400.0, 30.0
 """Stiffness and damping of the proximal joints; those of the wrist are smaller by :data:`WRIST`."""
 WRIST = 0.3
@@ -67,7 +69,9 @@ class Reach:
     def __init__(self, arm: ArmModel, strut: Vector) -> None:
         self._arm, self._goal, self._R_goal = arm, np.array(strut[:3]), rotation(np.array(strut[3:]))
         self.phase = Phase.APPROACH
-        self._q: Array | None = None
+        self._began = False
+        self._q = np.zeros(arm.joints)
+        """Where the joints shall be."""
         self._place = np.zeros(3)
         """Where the hand is held while the base drives, in the arm's base frame."""
         self._aim = np.zeros(3)
@@ -98,7 +102,7 @@ class Reach:
         self._elapsed_s += dt_s
         if self._elapsed_s > PATIENCE_S:
             raise ReachFailed(f"the hand has not got to its strut in {PATIENCE_S:g} s ({self.phase})")
-        if self._q is None:
+        if not self._began:
             self._begin(q)
         if self.phase in (Phase.CLOSE, Phase.HOLD):  # a hand that holds is told no place any more: stay as it is
             self._close(grip_m, dt_s)
@@ -111,13 +115,13 @@ class Reach:
             there = self._move_hand(np.array([*self._place[:2], goal[2] + LIFT_M]), level(R_goal), dt_s)
             if arrived and there:
                 self.phase = Phase.LOWER
-        elif self._move_hand(goal, R_goal, dt_s) and self.phase is Phase.LOWER:
+        elif self._move_hand(goal, R_goal, dt_s):
             self.phase = Phase.CLOSE
-        return self._effort(q, qd, BASE_DAMPING * (self._speed - rate)), OPEN_M
+        return self._effort(q, qd, np.clip(BASE_DAMPING * (self._speed - rate), -BASE_MAX, BASE_MAX)), OPEN_M
 
     def _begin(self, q: Array) -> None:
         p, R, _ = self._arm.hand(q)
-        self._q, self._place = q.copy(), p
+        self._began, self._q, self._place = True, q.copy(), p
         yaw = heading(self._R_goal @ R.T)
         self._aim = np.array([*(self._goal - planar(yaw) @ p)[:2], yaw])
 
@@ -136,8 +140,6 @@ class Reach:
 
     def _move_hand(self, p: Array, R: Array, dt_s: float) -> bool:
         """Move the wanted joint positions so that the hand goes to this pose; whether it is there."""
-        if self._q is None:
-            return False
         p_here, R_here, J = self._arm.hand(self._q)
         off, turned = p - p_here, rotation_vector(R @ R_here.T)
         v = np.concatenate([limited(HAND_1_S * off, HAND_M_S), limited(HAND_1_S * turned, HAND_RAD_S)])
@@ -154,8 +156,7 @@ class Reach:
         self.phase = Phase.HOLD
 
     def _effort(self, q: Array, qd: Array, force: Array) -> CheckedEffort:
-        wanted = q if self._q is None else self._q
-        torque = self._arm.gravity(q) + self._K * (wanted - q) - self._D * qd
+        torque = self._arm.gravity(q) + self._K * (self._q - q) - self._D * qd
         limited_torque = limit_torque(torque.tolist(), self._torque_max)
         return CheckedEffort(limited_torque, tuple(force.tolist()), tuple(self._K.tolist()))
 

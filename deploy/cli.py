@@ -224,7 +224,9 @@ def leader(
 @app.command()
 def join(
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run that goes on.")],
-    strut: Annotated[int, typer.Option(min=1, help="Number of the free strut that the new robot shall take, from 1.")],
+    strut: Annotated[
+        int, typer.Option(min=1, max=16, help="Number of the free strut that the new robot shall take, from 1.")
+    ],
 ) -> None:
     """Let a new robot come to a run that goes on: it drives in, takes hold of a free strut, and carries on."""
     from deploy.joining import join_run

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, fail
-from deploy.mailbox import ORDERS, post
+from deploy.mailbox import post, takes_orders
 from sim_server.run_folder import EVENTS
 from wire.messages import Order
 
 POLL_S = 0.05
+ANSWER_S = 60.0
+"""Wall time that the simulator has to say whether somebody comes: it looks once a tick."""
 
 
 def join_run(folder: Path, strut: int) -> None:
@@ -24,8 +26,12 @@ def join_run(folder: Path, strut: int) -> None:
     """
     events = _from_now_on(folder)
     post(folder, Order("join", strut))
-    arm = ""
+    arm, deadline = "", time.monotonic() + ANSWER_S
     for event in events:
+        if event is None:
+            if not arm and time.monotonic() > deadline:
+                fail(f"{folder}: the simulator has not answered within {ANSWER_S:g} s", COULD_NOT_RUN)
+            continue
         kind, at = event["kind"], f"{event['time_s']:.2f} s"
         if kind == "refused_order" and event["strut"] == strut and event.get("agent", "") == arm:
             fail(event["text"], BAD_INPUT)
@@ -37,9 +43,8 @@ def join_run(folder: Path, strut: int) -> None:
         elif kind == "seen":
             print(f"{at}: {arm}: {event['effect']}", flush=True)
         elif kind == "grasped":
-            print(
-                f"{at}: {arm} holds strut {strut}; {event['force_max_N']:.1f} N at most while it took hold", flush=True
-            )
+            most = event["force_max_N"]
+            print(f"{at}: {arm} holds strut {strut}; {most:.1f} N at most while it took hold", flush=True)
             return
         elif kind in ("lost", "left"):
             why = event.get("why", kind)
@@ -47,22 +52,25 @@ def join_run(folder: Path, strut: int) -> None:
     fail(f"{folder}: the run ended before a robot held strut {strut}", COULD_NOT_RUN)
 
 
-def _from_now_on(folder: Path) -> Iterator[dict[str, Any]]:
-    """Events that are written from now on, until the run takes no orders any more."""
+def _from_now_on(folder: Path) -> Iterator[dict[str, Any] | None]:
+    """Events that are written from now on, with None after each look, until the run takes no orders any more."""
     path = folder / EVENTS
     read = path.stat().st_size if path.exists() else 0
 
-    def follow() -> Iterator[dict[str, Any]]:
+    def follow() -> Iterator[dict[str, Any] | None]:
         nonlocal read
         going_on = True
         while going_on:
-            going_on = (folder / ORDERS).is_dir()
-            with path.open("rb") as file:
-                file.seek(read)
-                whole = file.read().rpartition(b"\n")[0]
+            going_on = takes_orders(folder)
+            whole = b""
+            if path.exists():
+                with path.open("rb") as file:
+                    file.seek(read)
+                    whole = file.read().rpartition(b"\n")[0]
             if whole:
                 read += len(whole) + 1
                 yield from map(json.loads, whole.splitlines())
+            yield None
             time.sleep(POLL_S)
 
     return follow()

@@ -214,9 +214,6 @@ class Launcher:
 
     def end_all(self) -> None:
         """End every process that is left: politely, then for good."""
-        if self._mailbox is not None:
-            self._mailbox.close()
-            self._mailbox = None
         for signal_number, patience_s in ((signal.SIGTERM, TERM_S), (signal.SIGKILL, TERM_S)):
             alive = [child for child in self._children if child.process.poll() is None]
             for child in alive:
@@ -231,6 +228,9 @@ class Launcher:
                 with suppress(BrokenPipeError):
                     child.process.stdin.close()
         self._rooms.clear()
+        if self._mailbox is not None:
+            self._mailbox.close()
+            self._mailbox = None
 
 
 def everybody(scenario: Scenario) -> list[str]:

@@ -31,6 +31,8 @@ class BadGrasp:
         self._world, self._ids = world, world.arms[arm]
         self._rng = np.random.default_rng([world.scenario.seed, STREAM, arm_number(arm)])
         self._sigma, self._force = force_N, np.zeros(3)
+        model, weld = world.model, self._ids.weld
+        self._good = model.eq_solref[weld].copy(), model.eq_solimp[weld].copy()
         world.model.eq_solref[self._ids.weld] = SOFT_SOLREF
         world.model.eq_solimp[self._ids.weld] = SOFT_SOLIMP
 
@@ -55,7 +57,9 @@ class BadGrasp:
         data.xfrc_applied[hand, 3:] = np.cross(point - data.xipos[hand], -self._force)
 
     def end(self) -> None:
-        """No force any more; the weld is the plant's to open."""
+        """No force any more, and a good grasp the next time; the weld is the plant's to open."""
+        model, weld = self._world.model, self._ids.weld
+        model.eq_solref[weld], model.eq_solimp[weld] = self._good
         self._world.data.xfrc_applied[self._ids.hand_body] = 0.0
 
     def state(self) -> Snapshot:

@@ -19,7 +19,7 @@ from sim_server.checkpoint_file import FOLDER, Checkpoint, last_checkpoint, vers
 from sim_server.happenings import Happenings
 from sim_server.lockstep import Ticker
 from sim_server.mujoco_plant import MujocoPlant
-from sim_server.reception import Reception
+from sim_server.reception import LEADER, Reception
 from sim_server.run_folder import RunFolder
 from sim_server.scenario_files import NamedScenario
 from sim_server.trace import TraceWriter
@@ -117,9 +117,9 @@ class Checkpoints:
         self._last = last_checkpoint(checkpoint.folder)
         with checkpoint.taking_back():
             owners.plant.restore(content["plant"])
-            for arm in owners.plant.names:
-                if arm not in owners.reception.agents:
-                    self._owners.invite(arm)
+            for agent in content["agents"]["agents"]:
+                if agent != LEADER:
+                    owners.invite(agent)
             owners.reception.restore(content["agents"])
             owners.clock.punctuality.restore(content["punctuality"])
             owners.happenings.restore(content["happenings"])

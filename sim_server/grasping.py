@@ -112,13 +112,17 @@ class Grasping:
             if (tick - closing.tick) * dt_s >= WATCHED_S:
                 self.grasped.append(self.closing.pop(name))
 
-    def is_empty(self, arm: str) -> bool:
-        """Whether this hand holds nothing."""
-        return arm in self.empty
+    def holds(self, arm: str) -> bool:
+        """Whether this robot is there and its hand holds."""
+        return arm in self._world.arms and arm not in self.empty
 
     def is_held(self, strut: int) -> bool:
         """Whether some hand holds this strut (from 0)."""
-        return any(ids.strut == strut and name not in self.empty for name, ids in self._world.arms.items())
+        return self.holder(strut) is not None
+
+    def holder(self, strut: int) -> str | None:
+        """Whose hand holds this strut (from 0)."""
+        return next((name for name, ids in self._world.arms.items() if ids.strut == strut and self.holds(name)), None)
 
     def state(self) -> Snapshot:
         """Empty hands, those that have just closed, and what nobody has reported yet."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
 from sim_server.errors import SimError
@@ -46,13 +46,17 @@ class Hands(Protocol):
     opened: list[str]
     grasped: list[Closing]
 
+    def holds(self, arm: str) -> bool: ...
+
 
 class Arrivals(Protocol):
     """Who comes: see :class:`sim_server.newcomers.Newcomers`."""
 
     def advance(self) -> None: ...
 
-    def check(self, strut: int) -> None: ...
+    def check(self, strut: int, promised: Collection[int]) -> None: ...
+
+    def know(self, arm: str) -> None: ...
 
     def next_name(self) -> str: ...
 
@@ -62,7 +66,7 @@ class Arrivals(Protocol):
 
     def arrive(self, arm: str) -> float: ...
 
-    def cancel(self, arm: str) -> None: ...
+    def cancel(self, arm: str, why: str) -> None: ...
 
 
 class Plant(Protocol):
@@ -86,6 +90,7 @@ class Happenings:
         start_s: wall time that a started agent has to be in.
         newcomers: those who come.
         waits: whether the clock stands until a newcomer is there (lock-step), or it comes when it is ready.
+        ticks: of the whole run.
     """
 
     def __init__(
@@ -101,10 +106,14 @@ class Happenings:
         start_s: float,
         newcomers: Arrivals,
         waits: bool,
+        ticks: int,
     ) -> None:
-        self._newcomers, self._waits = newcomers, waits
-        self._unforeseen: list[AnyEvent] = []
-        """Joins that no scenario has."""
+        self._newcomers, self._waits, self._ticks = newcomers, waits, ticks
+        self._unforeseen: set[str] = set()
+        """Robots that no scenario has."""
+        self._late: list[tuple[float, Join]] = []
+        """Real time: newcomers whose time has come, but who are not ready; with the wall time at which they are given
+        up."""
         self._prepared: dict[str, int] = {}
         """Newcomers that are prepared for, each with the number of its deed, or 0."""
         self._due = in_order(events, period_ms)
@@ -127,14 +136,21 @@ class Happenings:
         self._newcomers.advance()
         while self._slips and self._slips[0][0] <= tick:
             _, arm = self._slips.pop(0)
-            self._plant.slip(arm)
-            self._report("seen", event="fail_grasp", agent=arm, effect="the hand has slipped off")
+            if hands.holds(arm):
+                self._plant.slip(arm)
+                self._report("seen", event="fail_grasp", agent=arm, effect="the hand has slipped off")
+        self._let_late_ones_come()
         while self._due and self._due[0][0] <= tick:
             _, event = self._due.pop(0)
             if isinstance(event, Join):
-                self._let_come(tick, event)
+                if self._is_ready(event):
+                    self._let_come(event)
+                else:
+                    self._late.append((time.monotonic() + self._start_s, event))
             elif isinstance(event, FailGrasp):
                 self._report("ordered", event=event.kind, agent=event.arm)
+                if not hands.holds(event.arm):
+                    raise Undone(_sentence(event, "its hand holds nothing"))
                 self._plant.loosen(event.arm, event.force_N)
                 self._slips = sorted([*self._slips, (tick + round(event.for_s * 1000 / self._period_ms), event.arm)])
                 self._report("seen", event=event.kind, agent=event.arm, effect="the hand holds badly")
@@ -146,18 +162,22 @@ class Happenings:
         """Robots that the operator wants and nobody foresaw."""
         while self._clock.wanted:
             strut = self._clock.wanted.pop(0)
+            due = tick + self._lead_ticks
             try:
-                self._newcomers.check(strut - 1)
+                if due >= self._ticks:
+                    raise CannotCome(f"the run ends before a robot could come, {LEAD_S:g} s after it is wanted")
+                self._newcomers.check(strut - 1, [event.strut - 1 for event in self._to_come()])
             except CannotCome as error:
                 self._report("refused_order", event="join", strut=strut, text=str(error))
                 continue
             arm = self._newcomers.next_name()
-            event = self._want(tick + self._lead_ticks, arm, strut)
+            event = self._want(due, arm, strut)
             self._report("wanted", event="join", agent=arm, strut=strut, at_s=event.at_s)
 
     def _want(self, due: int, arm: str, strut: int) -> Join:
         event = Join(at_s=due * self._period_ms / 1000, kind="join", arm=arm, strut=strut)
-        self._unforeseen.append(event)
+        self._unforeseen.add(arm)
+        self._newcomers.know(arm)
         self._due = sorted([*self._due, (due, event)], key=lambda each: each[0])
         return event
 
@@ -174,35 +194,68 @@ class Happenings:
                 self._newcomers.prepare(event.arm, event.strut - 1)
                 self._prepared[event.arm] = self._order(event.arm, "start") if self._publisher.matched() else 0
 
-    def _let_come(self, tick: int, event: Join) -> None:
+    def _to_come(self) -> list[Join]:
+        """All robots that are still to come, foreseen or not."""
+        return [event for _, event in [*self._due, *self._late] if isinstance(event, Join)]
+
+    def _is_ready(self, event: Join) -> bool:
+        """Whether nobody has to wait for this newcomer; in lock-step everybody waits."""
+        number = self._prepared[event.arm]
+        return self._waits or (self._newcomers.is_ready(event.arm) and (not number or number in self._clock.done))
+
+    def _let_late_ones_come(self) -> None:
+        for late in list(self._late):
+            until_s, event = late
+            if self._is_ready(event):
+                self._late.remove(late)
+                self._let_come(event)
+            elif time.monotonic() > until_s:
+                self._late.remove(late)
+                self._give_up(event, f"it was not ready {self._start_s:g} s after its time")
+
+    def _let_come(self, event: Join) -> None:
         """The robot is there from now on. Raises :class:`Undone`."""
-        if not self._waits and not self._newcomers.is_ready(event.arm):
-            self._due = [(tick + 1, event), *self._due]
-            return
         self._report("ordered", event=event.kind, agent=event.arm, strut=event.strut)
-        foreseen = event not in self._unforeseen
         try:
             self._await_its_process(event)
             pause_s = self._newcomers.arrive(event.arm)
         except (CannotCome, NotBuilt) as error:
-            self._newcomers.cancel(event.arm)
-            if foreseen:
-                raise Undone(_sentence(event, str(error))) from None
-            self._report("refused_order", event=event.kind, agent=event.arm, strut=event.strut, text=str(error))
+            self._give_up(event, str(error))
             return
         agent = self._reception.agents[event.arm]
-        if self._waits and foreseen:  # what nobody foresaw repeats in no case, and must not hold the others up
+        if self._waits and event.arm not in self._unforeseen:  # what nobody foresaw does not hold the others up
             self._wait(lambda: agent.is_in and agent.alive, event, "it has not joined", self._start_s)
         effect = f"it stands outside, by strut {event.strut}"
         self._report("seen", event=event.kind, agent=event.arm, effect=effect, pause_ms=1e3 * pause_s)
 
+    def _give_up(self, event: Join, why: str) -> None:
+        """It does not come: a run that did not foresee it goes on. Raises :class:`Undone` if the scenario wants it."""
+        self._newcomers.cancel(event.arm, why)
+        if event.arm not in self._unforeseen:
+            raise Undone(_sentence(event, why))
+        self._report("refused_order", event=event.kind, agent=event.arm, strut=event.strut, text=why)
+
+    def _await_its_process(self, event: Join) -> None:
+        """Raises :class:`CannotCome` if the launcher could not start it, or does not say."""
+        number = self._prepared[event.arm]
+        if not number:
+            return
+        try:
+            self._wait(lambda: number in self._clock.done, event, "the launcher has not reported it", self._start_s)
+        except Undone:
+            raise CannotCome(f"the launcher has not reported its start within {self._start_s:g} s") from None
+        if self._clock.done[number]:
+            raise CannotCome(self._clock.done[number])
+
     def state(self) -> Snapshot:
-        """How many of the scenario's events are still to come, the robots that somebody wants, the hands that will slip
-        off, and the number of the last deed."""
-        wanted = [(tick, event) for tick, event in self._due if event in self._unforeseen]
+        """How many of the scenario's events are still to come, the robots that somebody wants, those that are late, the
+        hands that will slip off, and the number of the last deed."""
+        wanted = [(tick, event) for tick, event in self._due if isinstance(event, Join) and self._is_unforeseen(event)]
         return {
             "due": len(self._due) - len(wanted),
-            "wanted": [[tick, event.arm, event.strut] for tick, event in wanted if isinstance(event, Join)],
+            "wanted": [[tick, event.arm, event.strut] for tick, event in wanted],
+            "late": [[event.arm, event.strut, self._is_unforeseen(event)] for _, event in self._late],
+            "orders": list(self._clock.wanted),
             "slips": [list(slip) for slip in self._slips],
             "number": self._number,
         }
@@ -215,16 +268,16 @@ class Happenings:
         self._due = self._due[len(self._due) - due :]
         for tick, arm, strut in saved["wanted"]:
             self._want(int(tick), str(arm), int(strut))
+        for arm, strut, unforeseen in saved["late"]:
+            event = self._want(0, str(arm), int(strut))  # at once
+            if not unforeseen:
+                self._unforeseen.discard(event.arm)
+        self._clock.wanted[:] = map(int, saved["orders"])
         self._slips = [(int(tick), str(arm)) for tick, arm in saved["slips"]]
         self._number = int(saved["number"])
 
-    def _await_its_process(self, event: Join) -> None:
-        """Raises :class:`CannotCome` if the launcher could not start it."""
-        number = self._prepared[event.arm]
-        if number:
-            self._wait(lambda: number in self._clock.done, event, "the launcher has not reported it", self._start_s)
-            if self._clock.done[number]:
-                raise CannotCome(self._clock.done[number])
+    def _is_unforeseen(self, event: Join) -> bool:
+        return event.arm in self._unforeseen
 
     def _do(self, event: ProcessEvent) -> str:
         """Have it done; what was seen of it."""
@@ -241,6 +294,8 @@ class Happenings:
             self._wait(lambda: not agent.alive, event, "its sign of life is still there", seconds)
             return "it said goodbye"
         if event.kind == "start":
+            if agent.is_gone:
+                raise Undone(_sentence(event, "its robot has been taken away"))
             self._wait(lambda: agent.is_in and agent.alive, event, "it has not joined", seconds)
             return f"it has joined with lease {agent.link.lease}"
         if event.kind == "stop":
@@ -283,6 +338,6 @@ class Happenings:
                 self._clock.admit()
 
 
-def _sentence(event: ProcessEvent | Join, problem: str) -> str:
-    agent = event.arm if isinstance(event, Join) else event.agent
+def _sentence(event: AnyEvent, problem: str) -> str:
+    agent = event.agent if isinstance(event, ProcessEvent) else event.arm
     return f"event {event.kind!r} of {agent} at {event.at_s:g} s was not done: {problem}"

@@ -121,8 +121,7 @@ class Ticker(ABC):
     def admit(self) -> None:
         """Let those in whose links are up; an arm that was lost or left before is driven again."""
         for name in self._reception.match():
-            agent = self._reception.agents[name]
-            if name != LEADER and (agent.link.lease > 1 or agent.comes_later):
+            if name != LEADER:
                 self._plant.regain(name)
 
     def freeze(self, name: str) -> None:

@@ -150,9 +150,8 @@ def internal_forces(grips: Array, arms_W: Array) -> Array:
     return internal
 
 
-def _internal_of_those_who_hold(grips: Array, arms_W: Array) -> Array:
-    """:func:`internal_forces` of the hands that hold at each instant; zeros for the others."""
-    holds = (grips != 0.0).any(axis=2)
+def _internal_of_those_who_hold(grips: Array, holds: Array, arms_W: Array) -> Array:
+    """:func:`internal_forces` of the hands that hold at each instant, (rows, N); zeros for the others."""
     internal = np.zeros_like(grips)
     for who in np.unique(holds, axis=0):
         if who.any():
@@ -211,14 +210,19 @@ def _forces(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
     grips = np.stack([trace[f"{arm}.grip"] for arm in facts.arms], axis=1)
     here = np.isfinite(grips).all(axis=2)  # (rows, N): this robot was there
     grips = np.where(here[:, :, None], grips, 0.0)
-    internal = _internal_of_those_who_hold(grips, np.einsum("tij,nj->tni", R_WO, arms_O))
+    holds = (grips != 0.0).any(axis=2)
+    internal = _internal_of_those_who_hold(grips, holds, np.einsum("tij,nj->tni", R_WO, arms_O))
     weight = facts.load_mass_kg * GRAVITY_M_S2
     pull = np.linalg.norm(trace["leader.force"], axis=1)
     led = facts.goal_m is not None
     return {
-        "internal_force_rms_N": float(np.sqrt(np.mean(np.sum(internal[:, :, :3] ** 2, axis=2)))),
+        "internal_force_rms_N": float(np.sqrt(np.sum(internal[:, :, :3] ** 2) / max(1, np.count_nonzero(holds)))),
         "grip_force_max_N": float(np.linalg.norm(grips[:, :, :3], axis=2).max()),
-        "load_share": {arm: float(grips[here[:, k], k, 2].mean()) / weight for k, arm in enumerate(facts.arms)},
+        "load_share": {
+            arm: float(grips[here[:, k], k, 2].mean()) / weight
+            for k, arm in enumerate(facts.arms)
+            if here[:, k].any()  # one that came after the last row has none
+        },
         "leader_force_max_N": float(pull.max()) if led else None,
         "leader_impulse_Ns": float(np.trapezoid(pull, trace["time_s"])) if led else None,
     }

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_server.snapshot import Snapshot, SnapshotError, fill
-from sim_server.unled_arms import Behaviour, Felt, behaviour_of
+from sim_server.unled_arms import Behaviour, Felt, LetDown, behaviour_of
 
 Array = NDArray[np.float64]
 
@@ -58,6 +58,15 @@ class MotorDrivers:
     def any_unled(self) -> bool:
         """Whether :meth:`advance` needs to know what the drivers feel."""
         return bool(self._unled)
+
+    def lets_down(self, arm: int) -> bool:
+        """Whether its driver is letting its share down, and the hand still holds."""
+        behaviour = self._unled.get(arm)
+        return isinstance(behaviour, LetDown) and behaviour.holds
+
+    def is_led(self, arm: int) -> bool:
+        """Whether somebody commands it."""
+        return arm not in self._unled
 
     def newly_open(self) -> list[int]:
         """Arms whose hands the drivers have opened; each is named once."""

@@ -143,7 +143,14 @@ class MujocoPlant:
         return float(self.world.X_AE.p[2])
 
     def reach(self, arm: str) -> Vector:
-        """Where the strut of this arm is: see :meth:`Grasping.reach`."""
+        """Where the strut of this arm is: see :meth:`Grasping.reach`.
+
+        Asked at a greeting: an arm that is being let down stays as it is from then on, since whoever greets is told now
+        whether it holds.
+        """
+        row = self._row[arm]
+        if self.hands.holds(arm) and self._drivers.lets_down(row):
+            self._drivers.leave_to(row, Brake())
         return self.hands.reach(arm)
 
     def _static_torque(self, ids: ArmIds, share: float) -> Array:
@@ -223,7 +230,7 @@ class MujocoPlant:
         row = self._row[arm]
         self._drivers.command(row, torque, base_force)
         self._stiffness[row] = stiffness
-        if self.hands.want(arm, grip_m):
+        if self._drivers.is_led(row) and self.hands.want(arm, grip_m):
             self.open_hand(arm)
 
     def lose(self, arm: str) -> str:
@@ -245,11 +252,14 @@ class MujocoPlant:
         self._slipping[arm] = BadGrasp(self.world, arm, force_N)
 
     def slip(self, arm: str) -> None:
-        """This hand has slipped off. A gripper feels that it is empty, and its driver draws it back."""
+        """This hand has slipped off. A gripper feels that it is empty, and its driver draws it back, whatever its agent
+        commands; until the agent is started anew."""
         self._leave_to(arm, Release())
 
     def open_hand(self, arm: str) -> None:
-        """The hand lets go for good."""
+        """The hand lets go; nothing if it holds nothing."""
+        if not self.hands.holds(arm):
+            return
         if bad := self._slipping.pop(arm, None):
             bad.end()
         self.hands.let_go(arm)

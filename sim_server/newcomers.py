@@ -2,13 +2,13 @@
 
 Before a newcomer's tick another process builds the world that it is in, and the launcher starts its agent, while the
 simulation goes on. At its tick the worlds are exchanged and its greeting is answered; from then on it is a robot like
-the others, whose agent drives it to its strut. Robots that have left, with an open hand, are taken away then.
+the others, whose agent drives it to its strut. Robots that hold nothing and whose agents have gone are taken away then.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from sim_server.errors import SimError
@@ -16,6 +16,7 @@ from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import Reception
 from sim_server.scenario import Scenario
 from sim_server.world_builder import Build
+from wire.lifecycle import Phase
 
 MAX_ROBOTS = 16
 
@@ -66,25 +67,34 @@ class Newcomers:
         return name
 
     def prepare(self, arm: str, strut: int) -> None:
-        """Begin to build its world, and expect its greeting. Raises :class:`CannotCome`."""
-        self._build(arm, strut)
+        """Begin to build its world, and expect its greeting."""
+        seats = self._seats_with(arm, strut)
+        self._coming[arm] = Coming(arm, strut, Build(self._scenario, seats))
         self._invite(arm)
 
-    def check(self, strut: int) -> None:
-        """Raises :class:`CannotCome` if nobody can come to this strut (from 0) now."""
-        struts = self._scenario.load.struts
+    def check(self, strut: int, promised: Collection[int]) -> None:
+        """Raises :class:`CannotCome` if nobody can come to this strut now.
+
+        Args:
+            strut: from 0.
+            promised: struts of those who are to come anyway.
+        """
+        struts, seats = self._scenario.load.struts, self._seats()
         if not 0 <= strut < struts:
             raise CannotCome(f"strut {strut + 1}: the load has struts 1 to {struts}")
-        if self._plant.hands.is_held(strut):
-            raise CannotCome(f"strut {strut + 1} is held by {self._holder(strut)}: a newcomer needs a free one")
-        if any(coming.strut == strut for coming in self._coming.values()):
-            raise CannotCome(f"strut {strut + 1}: somebody is on the way to it already")
-        if len(self._seats()) + len(self._coming) >= MAX_ROBOTS:
-            raise CannotCome(f"{MAX_ROBOTS} robots are there: expected one to leave first")
+        self._check_free(strut, seats)
+        if strut in promised:
+            raise CannotCome(f"strut {strut + 1}: somebody is to come to it already")
+        if len(seats) + len(promised) >= MAX_ROBOTS:
+            raise CannotCome(f"{MAX_ROBOTS} robots are there or to come: expected one to leave first")
 
     def advance(self) -> None:
-        """A little work on the worlds that are to come, tick by tick."""
+        """A little work on the worlds that are to come, tick by tick; one that somebody has left is begun anew."""
         for coming in self._coming.values():
+            seats = self._seats_with(coming.arm, coming.strut)
+            if coming.build.seats != seats:
+                coming.build.end()
+                coming.build = Build(self._scenario, seats)
             coming.build.advance(self._plant.world)
 
     def is_ready(self, arm: str) -> bool:
@@ -95,29 +105,32 @@ class Newcomers:
         """Exchange the worlds; the wall time that took, s.
 
         Raises:
-            CannotCome: its strut is held.
+            CannotCome: its strut is not free.
             NotBuilt: there is no world with it.
         """
         start = time.perf_counter()
-        coming = self._coming.pop(arm)
-        seats = {**self._seats(), arm: coming.strut}
-        if self._plant.hands.is_held(coming.strut):
-            coming.build.end()
-            raise CannotCome(f"strut {coming.strut + 1} is held by {self._holder(coming.strut)}: {arm} has no place")
-        build = coming.build
-        if build.seats != seats:  # somebody left in the meantime
+        coming, stay = self._coming[arm], self._seats()
+        self._check_free(coming.strut, stay)
+        build, seats = coming.build, {**stay, arm: coming.strut}
+        if build.seats != seats:  # somebody left at this very tick, or another who was to come first has not
             build.end()
             build = Build(self._scenario, seats)
         world = build.world(self._plant.world)
+        del self._coming[arm]
+        gone = set(self._plant.names) - set(seats)
         self._plant.move_to(world)
+        for name in gone:
+            self._reception.dismiss(name, "its robot has been taken away")
         self._changed(self._plant.names)
         self._reception.let_in(arm)
         return time.perf_counter() - start
 
-    def cancel(self, arm: str) -> None:
-        """It does not come after all."""
+    def cancel(self, arm: str, why: str) -> None:
+        """It does not come after all; its agent hears why."""
         if coming := self._coming.pop(arm, None):
             coming.build.end()
+        if arm in self._reception.agents:
+            self._reception.dismiss(arm, why)
 
     def end(self) -> None:
         """The run is over: nobody comes any more."""
@@ -125,21 +138,26 @@ class Newcomers:
             coming.build.end()
         self._coming.clear()
 
-    def _build(self, arm: str, strut: int) -> None:
-        seats = {**self._seats(), **{each.arm: each.strut for each in self._coming.values()}, arm: strut}
-        self._coming[arm] = Coming(arm, strut, Build(self._scenario, seats))
+    def _seats_with(self, arm: str, strut: int) -> dict[str, int]:
+        """Who is there when it comes: those who stay, those who come before it, and itself."""
+        seats = dict(self._seats())
+        for before in self._coming.values():
+            if before.arm == arm:
+                break
+            seats[before.arm] = before.strut
+        return {**seats, arm: strut}
 
     def _seats(self) -> Mapping[str, int]:
-        """The robots that stay when the next one comes, each with its strut."""
+        """The robots that stay when the next one comes, each with its strut: all but those that hold nothing and whose
+        agents have gone."""
         return {
             name: ids.strut
             for name, ids in self._plant.world.arms.items()
-            if not self._plant.hands.is_empty(name) or self._reception.agents[name].is_in
+            if self._plant.hands.holds(name) or self._reception.agents[name].link.phase not in (Phase.LOST, Phase.LEFT)
         }
 
-    def _holder(self, strut: int) -> str:
-        return next(
-            name
-            for name, ids in self._plant.world.arms.items()
-            if ids.strut == strut and not self._plant.hands.is_empty(name)
-        )
+    def _check_free(self, strut: int, seats: Mapping[str, int]) -> None:
+        for name, theirs in seats.items():
+            if theirs == strut:
+                what = "is held by" if self._plant.hands.holds(name) else "is the one to be taken by"
+                raise CannotCome(f"strut {strut + 1} {what} {name}: a newcomer needs a free one")

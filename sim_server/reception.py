@@ -16,7 +16,7 @@ from sim_server.tally import OPERATOR, STRANGERS, CountedPublisher, Tallies
 from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.keys import ANY_HELLO, ArmKeys, Keys
-from wire.lifecycle import AgentLink, Invitation, Phase
+from wire.lifecycle import AgentLink, Invitation, Phase, check_hello
 from wire.link import Link, Publisher, Question
 from wire.messages import Goodbye, Hello, Message, Refusal, Vector, Welcome
 
@@ -62,8 +62,8 @@ class Agent:
     hello: Hello | None = None
     alive: bool = False
     """Whether its sign of life is there."""
-    comes_later: bool = False
-    """Whether its robot stood there without an agent first."""
+    is_gone: bool = False
+    """Whether its robot has been taken away: nobody can greet for it any more."""
 
     @property
     def is_in(self) -> bool:
@@ -115,7 +115,7 @@ class Reception:
         name, link = invitation.name, self._link
         theirs = self.keys_of(name)
         publisher = CountedPublisher(link.publisher(theirs.state), self.tallies.of(name, theirs.state, "to"))
-        self.agents[name] = Agent(AgentLink(invitation), terms, publisher, comes_later=hold)
+        self.agents[name] = Agent(AgentLink(invitation), terms, publisher)
         if hold:
             self._held[name] = None
         link.subscribe(theirs.command, self._putter("answer", name, theirs.command))
@@ -126,6 +126,18 @@ class Reception:
         waiting = self._held.pop(name, None)
         if waiting is not None and time.monotonic() - waiting[1] < HELD_S:
             self.answer(waiting[0])
+
+    def dismiss(self, name: str, why: str) -> None:
+        """Nobody is let in under this name any more: its robot has gone, or does not come. Whoever waits hears why."""
+        self.agents[name].is_gone = True
+        waiting = self._held.pop(name, None)
+        if waiting is not None:
+            waiting[0].reply(encode(Refusal(Reason.ARM, why)))
+
+    def dismiss_those_held(self, why: str) -> None:
+        """Nobody else is let in."""
+        for name in list(self._held):
+            self.dismiss(name, why)
 
     def keys_of(self, name: str) -> ArmKeys:
         """An agent's own keys."""
@@ -162,7 +174,11 @@ class Reception:
     def state(self) -> Snapshot:
         """Every agent's life and last greeting, and the strangers."""
         lives = {
-            name: {"link": agent.link.state(), "hello": encode(agent.hello) if agent.hello else None}
+            name: {
+                "link": agent.link.state(),
+                "hello": encode(agent.hello) if agent.hello else None,
+                "is_gone": agent.is_gone,
+            }
             for name, agent in self.agents.items()
         }
         return {"agents": lives, "strangers": self.strangers}
@@ -171,11 +187,13 @@ class Reception:
         """Await those who were in; before anything is taken out of the inbox."""
         if saved["agents"].keys() != self.agents.keys():
             raise SnapshotError(f"agents: got {', '.join(saved['agents'])}, expected {', '.join(self.agents)}")
+        self._awaited.clear()
         for name, life in saved["agents"].items():
             agent = self.agents[name]
             agent.hello = decode(life["hello"], Hello) if life["hello"] else None
-            if not agent.link.resume(life["link"]):
-                self._awaited.discard(name)
+            agent.is_gone = bool(life["is_gone"])
+            if agent.link.resume(life["link"]):
+                self._awaited.add(name)
         self.strangers = {str(stranger): int(times) for stranger, times in saved["strangers"].items()}
 
     def match(self) -> list[str]:
@@ -192,9 +210,6 @@ class Reception:
     def answer(self, question: Question) -> str | None:
         """Reply to a greeting or a goodbye; the name of an agent that left, or None."""
         name = self._named(question.key)
-        if name in self._held:
-            self._held[name] = question, time.monotonic()
-            return None
         agent = self.agents.get(name)
         ours = agent is not None and question.key == self.keys_of(name).hello
         whose = (name, question.key) if ours else (STRANGERS, "*/hello")  # one row: a flood of names must not fill it
@@ -212,6 +227,8 @@ class Reception:
                 raise Refused(Reason.RUN, "run", run, self._keys.run, "Give the simulator's run name with --run")
             if agent is None:
                 raise Refused(Reason.ARM, "name", name, "an arm of this run")
+            if agent.is_gone:
+                raise Refused(Reason.ARM, "robot", name, "one that is there", "It has been taken away, or never came")
             if isinstance(message, Goodbye):
                 agent.link.goodbye(message)
                 reply(message)
@@ -219,6 +236,10 @@ class Reception:
                 return name
             if not isinstance(message, Hello):
                 raise Refused(Reason.TYPE, "type", type(message).__name__, "hello or goodbye")
+            if name in self._held:
+                check_hello(message, agent.link.invitation)
+                self._held[name] = question, time.monotonic()
+                return None
             lease = agent.link.greet(message)
         except Refused as refusal:
             run = question.key.split("/")[1]

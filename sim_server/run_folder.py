@@ -215,12 +215,14 @@ def compute_metrics(path: Path) -> tuple[dict[str, Any], tuple[Judged, ...]]:
     except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         problem = " ".join(str(error).split())
         raise RunFolderError(f"{path}: no metrics can be computed: {type(error).__name__}: {problem}") from None
-    metrics = {name: None if _not_finite(value) else value for name, value in metrics.items()}
+    metrics = {name: _finite(value) for name, value in metrics.items()}
     judged = judge(metrics, expect)
     metrics["verdict"] = overall(judged, completed)
     return metrics, judged
 
 
-def _not_finite(value: object) -> bool:
-    """A number that a failed physics left behind: it says nothing and is no JSON."""
-    return isinstance(value, float) and not math.isfinite(value)
+def _finite(value: Any) -> Any:
+    """The value, without numbers that a failed physics left behind: they say nothing and are no JSON."""
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -131,24 +131,22 @@ class Server:
             start_s=self._scenario.clock.start_timeout_s,
             newcomers=self._newcomers,
             waits=self._scenario.clock.mode == "lock-step",
+            ticks=self._scenario.ticks,
         )
         self._start_wall = 0.0
         self._last_progress = 0.0
-        owners = Owners(self._plant, self._reception, self._clock, self._happenings, self._invite_again)
+        owners = Owners(self._plant, self._reception, self._clock, self._happenings, self._invite)
         self._checkpoints = Checkpoints(folder, run, named, owners)
         if checkpoint is not None:
             self._go_on(checkpoint)
 
     def _invite(self, arm: str) -> None:
-        """A newcomer may greet from now on; the answer waits for its tick."""
-        self._reception.invite(*self._invitation(arm), hold=True)
-        self._auditor.expect(arm, self._reception.keys_of(arm))
-
-    def _invite_again(self, arm: str) -> None:
-        """A robot that came before the simulator was killed: its agent may greet."""
-        self._reception.invite(*self._invitation(arm))
-        self._auditor.expect(arm, self._reception.keys_of(arm))
-        self._newcomers.know(arm)
+        """Expect the agent of a robot that comes, or came before the simulator was killed. While the robot is not there
+        the answer to a greeting waits for its tick."""
+        if arm not in self._reception.agents:
+            self._reception.invite(*self._invitation(arm), hold=arm not in self._plant.met)
+            self._auditor.expect(arm, self._reception.keys_of(arm))
+            self._newcomers.know(arm)
 
     def _invitation(self, arm: str) -> tuple[Invitation, Terms]:
         team, clock = self._scenario.team, self._scenario.clock
@@ -337,6 +335,7 @@ class Server:
     def _say_end(self, why: str) -> None:
         """Tell the agents that it is over, and give them time to go."""
         agents, inbox = self._reception.agents, self._reception.inbox
+        self._reception.dismiss_those_held(why)
         for agent in agents.values():
             if agent.is_in:
                 agent.publisher.put(encode(End("over", why)))

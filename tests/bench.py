@@ -38,6 +38,7 @@ class Ledger:
 
     def __init__(self, arms: tuple[str, ...], book: list[tuple[Any, ...]]) -> None:
         self.arms, self.book, self.tick = arms, book, 0
+        self.unled: set[str] = set()
 
     def read(self) -> Mapping[str, Reading]:
         self.book.append(("read", self.tick))
@@ -63,14 +64,19 @@ class Ledger:
         return (0.0,) * 7
 
     def lose(self, arm: str) -> str:
+        self.unled.add(arm)
         self.book.append(("lose", arm))
         return "limp"
 
     def let_down(self, arm: str) -> None:
+        self.unled.add(arm)
         self.book.append(("let_down", arm))
 
     def regain(self, arm: str) -> None:
-        self.book.append(("regain", arm))
+        """Means nothing to an arm that is led."""
+        if arm in self.unled:
+            self.unled.discard(arm)
+            self.book.append(("regain", arm))
 
     def step(self) -> None:
         self.book.append(("step", self.tick))

@@ -6,7 +6,9 @@ A file's tests stay in one process, since they share what they started.
 from __future__ import annotations
 
 import fcntl
+import tempfile
 from collections.abc import Generator
+from pathlib import Path
 
 import pytest
 
@@ -20,7 +22,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """A test marked ``alone`` begins when no other process has one under way, and they wait for its end."""
-    folder = item.config.cache.mkdir("alone") if item.config.cache else item.config.rootpath
+    cache = getattr(item.config, "cache", None)  # pytest can be run without
+    folder = cache.mkdir("alone") if cache else Path(tempfile.gettempdir())
     kind = fcntl.LOCK_EX if item.get_closest_marker("alone") else fcntl.LOCK_SH
     with (folder / "turnstile").open("w") as turnstile, (folder / "machine").open("w") as machine:
         fcntl.flock(turnstile, fcntl.LOCK_EX)  # else those who share the machine would never let one alone in

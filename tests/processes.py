@@ -197,7 +197,10 @@ class LaunchedRun:
             lambda: self.simulated_s() >= simulated_s, f"{simulated_s:g} s of simulated time to have passed"
         )
         for each in self.command.look().values():
-            line = each.cmdline()
+            try:
+                line = each.cmdline()
+            except psutil.NoSuchProcess:  # it has ended, as has what it was to do; its log says why
+                continue
             for part in ("sim", "follower", "leader"):
                 if "deploy.cli" in line and part in line:
                     name = line[line.index("--arm") + 1] if part == "follower" else part

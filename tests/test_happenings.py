@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import pytest
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sim_server import happenings
 from sim_server.errors import ScenarioError
 from sim_server.grasping import Closing
-from sim_server.happenings import Happenings, Undone
+from sim_server.happenings import Arrivals, Happenings, Undone
 from sim_server.newcomers import CannotCome
 from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Verb, check_events
 from sim_server.scenario_files import load_scenario
@@ -91,6 +91,10 @@ class HandsBook:
     def __init__(self) -> None:
         self.opened: list[str] = []
         self.grasped: list[Closing] = []
+        self.empty: set[str] = set()
+
+    def holds(self, arm: str) -> bool:
+        return arm not in self.empty
 
 
 class NoNewcomers:
@@ -99,8 +103,11 @@ class NoNewcomers:
     def advance(self) -> None:
         pass
 
-    def check(self, strut: int) -> None:
+    def check(self, strut: int, promised: Collection[int]) -> None:
         raise CannotCome(f"strut {strut + 1}: nobody comes")
+
+    def know(self, arm: str) -> None:
+        pass
 
     def next_name(self) -> str:
         raise NotImplementedError
@@ -114,7 +121,7 @@ class NoNewcomers:
     def arrive(self, arm: str) -> float:
         raise NotImplementedError
 
-    def cancel(self, arm: str) -> None:
+    def cancel(self, arm: str, why: str) -> None:
         raise NotImplementedError
 
 
@@ -136,7 +143,14 @@ class NoHands:
 class Stage:
     """A bench with events, and a launcher that does deeds to agents in memory."""
 
-    def __init__(self, *events: AnyEvent, launcher: bool = True) -> None:
+    def __init__(
+        self,
+        *events: AnyEvent,
+        launcher: bool = True,
+        newcomers: Arrivals | None = None,
+        waits: bool = True,
+        ticks: int = 10**6,
+    ) -> None:
         self.bench = Bench()
         self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in ("a1", "a2")}
         self.hands = NoHands()
@@ -156,8 +170,9 @@ class Stage:
             self.bench._report,
             period_ms=1,
             start_s=1.0,
-            newcomers=NoNewcomers(),
-            waits=True,
+            newcomers=newcomers or NoNewcomers(),
+            waits=waits,
+            ticks=ticks,
         )
         self.tick = 0
 
@@ -319,7 +334,7 @@ class BrokenBuild(NoNewcomers):
     def __init__(self) -> None:
         self.cancelled: list[str] = []
 
-    def check(self, strut: int) -> None:
+    def check(self, strut: int, promised: Collection[int]) -> None:
         pass
 
     def next_name(self) -> str:
@@ -334,7 +349,7 @@ class BrokenBuild(NoNewcomers):
     def arrive(self, arm: str) -> float:
         raise NotBuilt("the world with a9 could not be built")
 
-    def cancel(self, arm: str) -> None:
+    def cancel(self, arm: str, why: str) -> None:
         self.cancelled.append(arm)
 
 
@@ -352,8 +367,8 @@ def test_a_robot_whose_world_or_process_cannot_be_made_does_not_end_a_run_that_d
     launcher: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(happenings, "LEAD_S", 0.003)
-    stage, newcomers = Stage(), BrokenBuild()
-    stage.happenings._newcomers = newcomers
+    newcomers = BrokenBuild()
+    stage = Stage(newcomers=newcomers)
     problem = "no process could be started" if launcher == "cannot start it" else ""
     stage.do = lambda deed: problem
     stage.orders.put(encode(Order("join", 4)))
@@ -370,8 +385,7 @@ def test_a_robot_that_the_scenario_foresees_and_that_cannot_come_ends_the_run_wi
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(happenings, "LEAD_S", 0.001)
-    stage = Stage(Join(at_s=0.003, kind="join", arm="a9", strut=4))
-    stage.happenings._newcomers = BrokenBuild()
+    stage = Stage(Join(at_s=0.003, kind="join", arm="a9", strut=4), newcomers=BrokenBuild())
     stage.do = lambda deed: ""
     with pytest.raises(Undone, match=r"event 'join' of a9 at 0\.003 s was not done: the world with a9 could not"):
         stage.run(5)

@@ -79,7 +79,7 @@ def test_a_newcomer_stands_outside_braked_with_an_empty_hand() -> None:
         plant.step()
     np.testing.assert_allclose(plant.world.data.qpos[plant.world.arms["a4"].base_qpos], start, atol=1e-3)
     assert reading.grip_m == pytest.approx(0.08)
-    assert plant.hands.is_empty("a4")
+    assert not plant.hands.holds("a4")
     assert not plant.hands.is_held(3)
     assert plant.read()["a1"].odometry == (0.0,) * 6, "who carries is told no place"
 
@@ -123,7 +123,7 @@ def test_a_reach_by_own_senses_takes_hold_where_the_hand_is_without_a_snap_and_a
     exchange(plant, {**SEATS, "a4": 3})
     before = load_pose(plant.world)
     reach(plant)
-    assert not plant.hands.is_empty("a4")
+    assert plant.hands.holds("a4")
     assert plant.hands.is_held(3)
     for _ in range(500):
         plant.read()
@@ -137,7 +137,7 @@ def test_a_reach_by_own_senses_takes_hold_where_the_hand_is_without_a_snap_and_a
     for _ in range(2500):
         plant.read()
         plant.step()
-    assert plant.hands.is_empty("a4")
+    assert not plant.hands.holds("a4")
     reach(plant)
     assert plant.hands.is_held(3)
     assert np.linalg.norm(load_pose(plant.world).p - before.p) < 2e-3
@@ -148,7 +148,7 @@ def test_a_strut_that_has_moved_meanwhile_is_missed_and_that_is_said() -> None:
     exchange(plant, {**SEATS, "a4": 3})
     with pytest.raises(ReachFailed, match="closed on nothing"):
         reach(plant, push_at=1000)
-    assert plant.hands.is_empty("a4")
+    assert not plant.hands.holds("a4")
 
 
 def test_a_plant_that_newcomers_have_come_to_goes_on_from_its_checkpoint_number_for_number() -> None:
