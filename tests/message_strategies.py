@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import msgpack
 import pytest
 from hypothesis import HealthCheck
 from hypothesis import strategies as st
+from msgspec.structs import fields
 
 from wire.codec import SCHEMAS, decode, decode_any, encode
 from wire.errors import Reason, Refused

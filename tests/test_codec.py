@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgpack
@@ -12,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from message_strategies import MESSAGES, SAMPLES, SLOW_MACHINE, body_of, every_message, judged, packed, refusal_of
+from msgspec.structs import fields
 
 from wire import PROTOCOL_VERSION
 from wire.codec import MAX_BYTES, SCHEMAS, decode, decode_any, encode

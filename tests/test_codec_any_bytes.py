@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
 
 import msgpack
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from message_strategies import MESSAGES, SAMPLES, SLOW_MACHINE, body_of, every_message, judged, packed, text
+from msgspec.structs import fields
 
 from wire import PROTOCOL_VERSION
 from wire.codec import SCHEMAS, _decode_the_long_way, decode_any, encode

@@ -7,6 +7,7 @@ from itertools import product
 from typing import Any
 
 import pytest
+from msgspec import structs
 from one_link import HELLO, INVITATION, WRONG_HELLO, command, refused, unchanged
 
 from wire.errors import MisuseError, Reason, Refused
@@ -147,7 +148,7 @@ def test_ticks_go_up_one_open_at_a_time() -> None:
 )
 def test_an_answer_with_one_thing_wrong_is_refused_for_that(changed: dict[str, Any], reason: Reason) -> None:
     link = link_in(Phase.TICKING)
-    assert refused(link, lambda: link.answer(replace(command(5, 1), **changed))) == reason
+    assert refused(link, lambda: link.answer(structs.replace(command(5, 1), **changed))) == reason
     link.answer(command(5, 1))
 
 
@@ -197,8 +198,8 @@ def test_the_leader_s_answer_follows_the_same_rules_without_joints() -> None:
     link.matched()
     link.state_sent(0)
     pull = LeaderForce(0, 1, "front", (40.0, 0.0, 0.0))
-    assert refused(link, lambda: link.answer(replace(pull, tick=1))) == Reason.FUTURE
-    assert refused(link, lambda: link.answer(replace(pull, lease=2))) == Reason.LEASE
+    assert refused(link, lambda: link.answer(structs.replace(pull, tick=1))) == Reason.FUTURE
+    assert refused(link, lambda: link.answer(structs.replace(pull, lease=2))) == Reason.LEASE
     link.answer(pull)
     assert refused(link, lambda: link.answer(pull)) == Reason.DUPLICATE
 
@@ -208,12 +209,12 @@ def test_the_leader_s_answer_follows_the_same_rules_without_joints() -> None:
 
 def test_a_greeting_that_fits_is_let_in() -> None:
     check_hello(HELLO, INVITATION)
-    check_hello(replace(HELLO, pid=1, host="elsewhere"), INVITATION)
+    check_hello(structs.replace(HELLO, pid=1, host="elsewhere"), INVITATION)
 
 
 @pytest.mark.parametrize(("reason", "changed"), WRONG_HELLO.items(), ids=WRONG_HELLO)
 def test_a_greeting_with_one_thing_wrong_is_refused_for_that(reason: Reason, changed: dict[str, Any]) -> None:
-    wrong = replace(HELLO, **changed)
+    wrong = structs.replace(HELLO, **changed)
     with pytest.raises(Refused) as refusal:
         check_hello(wrong, INVITATION)
     assert refusal.value.reason == reason

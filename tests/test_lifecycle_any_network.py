@@ -8,6 +8,7 @@ from typing import Any
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from msgspec import structs
 from one_link import HELLO, INVITATION, WRONG_HELLO, command, refused, unchanged
 
 from wire.errors import MisuseError, Reason
@@ -64,7 +65,7 @@ class AnyNetwork(RuleBasedStateMachine):
 
     @rule(reason=st.sampled_from(sorted(WRONG_HELLO)))
     def greet_wrongly(self, reason: Reason) -> None:
-        wrong = replace(HELLO, **WRONG_HELLO[reason])
+        wrong = structs.replace(HELLO, **WRONG_HELLO[reason])
         assert refused(self.link, lambda: self.link.greet(wrong)) == reason
 
     @rule()
@@ -163,7 +164,7 @@ class AnyNetwork(RuleBasedStateMachine):
 
     @rule(changed=st.sampled_from([{"arm": "a2"}, {"torque": (0.5,) * 6}, {"stiffness": (0.5,) * 8}]))
     def answer_for_another_arm(self, changed: dict[str, Any]) -> None:
-        wrong = replace(command(self.newest_tick, self.newest_lease), **changed)
+        wrong = structs.replace(command(self.newest_tick, self.newest_lease), **changed)
         assert refused(self.link, lambda: self.link.answer(wrong)) in (Reason.ARM, Reason.LENGTH)
 
     def arrive(self, answer: Command) -> None:

@@ -22,6 +22,8 @@ from wire.messages import Command, Goodbye, Hello, LeaderForce
 class Phase(StrEnum):
     """Where an agent is in its life."""
 
+    __hash__ = str.__hash__  # the same hash without a call of Python's: the table is asked at every message
+
     ABSENT = "absent"
     HELLO = "hello"
     READY = "ready"
@@ -32,6 +34,8 @@ class Phase(StrEnum):
 
 class Event(StrEnum):
     """What can happen to an agent."""
+
+    __hash__ = str.__hash__
 
     GREETED = "greeted"
     MATCHED = "matched"

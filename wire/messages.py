@@ -1,14 +1,15 @@
 """The messages, one frozen class each. What a follower may feel is exactly :class:`State`, and nothing else.
 
+msgspec's structures, not dataclasses: those make a frozen object field by field in Python, at every message of a tick.
+
 Numbers are SI; joint vectors have the arm's number of joints n (7 for the Panda). Simulated time is an integer.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 MAX_JOINTS = 16
 MAX_INT = 2**63 - 1
@@ -22,8 +23,7 @@ Count = Annotated[int, Meta(ge=0, le=MAX_INT)]
 Name = Annotated[str, Meta(max_length=40)]
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
+class Hello(Struct, frozen=True, gc=False):
     """An agent asks to be let in (query on its ``hello`` key)."""
 
     role: Literal["follower", "leader"]
@@ -38,8 +38,7 @@ class Hello:
     host: str
 
 
-@dataclass(frozen=True, slots=True)
-class Welcome:
+class Welcome(Struct, frozen=True, gc=False):
     """The simulator lets an agent in (reply to :class:`Hello`)."""
 
     lease: int
@@ -59,16 +58,14 @@ class Welcome:
     and ``quat_wxyz`` of the hand that grasps it, in the base frame B as it stands now. Zeros for all others."""
 
 
-@dataclass(frozen=True, slots=True)
-class Refusal:
+class Refusal(Struct, frozen=True, gc=False):
     """The simulator does not let an agent in, and why (reply to :class:`Hello`)."""
 
     reason: str
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class State:
+class State(Struct, frozen=True, gc=False):
     """What one arm feels at one tick: its own joints and its own wrist. All a follower ever gets."""
 
     arm: Name
@@ -89,8 +86,7 @@ class State:
     its velocity in its present frame B: (6,) m, rad and m/s, rad/s. Else zeros: who carries feels no place."""
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(Struct, frozen=True, gc=False):
     """What one agent wants at one tick. ``stiffness`` and ``step_ns`` are a report: recorded, never obeyed."""
 
     arm: Name
@@ -109,8 +105,7 @@ class Command:
     """Wall time that the controller's step took."""
 
 
-@dataclass(frozen=True, slots=True)
-class LeaderView:
+class LeaderView(Struct, frozen=True, gc=False):
     """What the leader sees of the load, in the world frame."""
 
     tick: Count
@@ -125,8 +120,7 @@ class LeaderView:
     """(3,) rad/s, world frame."""
 
 
-@dataclass(frozen=True, slots=True)
-class LeaderForce:
+class LeaderForce(Struct, frozen=True, gc=False):
     """The leader's pull."""
 
     tick: Count
@@ -137,16 +131,14 @@ class LeaderForce:
     """(3,) N, world frame."""
 
 
-@dataclass(frozen=True, slots=True)
-class Goodbye:
+class Goodbye(Struct, frozen=True, gc=False):
     """An agent leaves in order (query on its ``hello`` key; the reply is the same message, or a :class:`Refusal`)."""
 
     name: str
     lease: int
 
 
-@dataclass(frozen=True, slots=True)
-class End:
+class End(Struct, frozen=True, gc=False):
     """The run is over, or this agent's part in it (on the agent's ``state`` key)."""
 
     kind: Literal["over", "lost"]
@@ -154,8 +146,7 @@ class End:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Progress:
+class Progress(Struct, frozen=True, gc=False):
     """How the run goes, for observers."""
 
     phase: Literal["waiting", "running", "ended"]
@@ -173,8 +164,7 @@ class Progress:
     """Real time: the oldest command that an arm has obeyed so far, in ticks from the state it answers."""
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
+class Order(Struct, frozen=True, gc=False):
     """An order of the operator."""
 
     verb: Literal["stop", "join"]
@@ -182,8 +172,7 @@ class Order:
     """``join``: number of the strut that a new robot shall take, from 1. Else 0."""
 
 
-@dataclass(frozen=True, slots=True)
-class Deed:
+class Deed(Struct, frozen=True, gc=False):
     """Something that the scenario wants done to a process: asked of the launcher, who alone owns the processes."""
 
     number: int
@@ -192,8 +181,7 @@ class Deed:
     agent: str
 
 
-@dataclass(frozen=True, slots=True)
-class Done:
+class Done(Struct, frozen=True, gc=False):
     """The launcher's report that a deed is done (the kernel says so), or why it cannot be."""
 
     number: int
