@@ -11,6 +11,7 @@ from typing import NoReturn
 import numpy as np
 
 from agents.arm_model import ArmModel
+from agents.at_once import AtOnce
 from agents.controllers import make_controller
 from agents.controllers.interface import Sensed
 from agents.reach import Reach
@@ -151,7 +152,7 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome) -> NoRet
     in_real_time = welcome.clock == "real-time"
     receive = session.receive_newest if in_real_time else session.receive
     timeout_s = settings.state_timeout_s if in_real_time else 1.0
-    holding = False
+    holding, at_once = False, AtOnce(session, follower, period_s)
     while True:
         state = receive(timeout_s)
         if state is None:
@@ -169,4 +170,7 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome) -> NoRet
             session.refuse(refusal)
             continue
         holding = False
-        session.send(follower.answer(state, session.lease, period_s))
+        command = follower.answer(state, session.lease, period_s)
+        if not in_real_time:
+            at_once.note(command.step_ns)
+        session.send(command)
