@@ -81,8 +81,8 @@ class AgentSession:
         """From now on show ``answer`` every message first, on the transport's own thread; what it does not deal with
         (it returns False) comes by :meth:`receive` as ever. None: nobody is asked.
 
-        Saves two changes of thread a message. Whoever takes long there keeps the transport from its own work: after half
-        a second the sign of life is gone.
+        Saves two changes of thread a message. Whoever takes long there keeps the transport from its own work: after
+        half a second the sign of life is gone.
         """
         self._at_once = answer
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from played_simulator import DEADLINE_S, PlayedSimulator, wait_for
 from processes import (
     HUNG,
     UNKNOWN_CONNECTION,
@@ -21,7 +22,6 @@ from processes import (
     settings,
     started,
 )
-from test_follower import DEADLINE_S, PlayedSimulator, wait_for
 
 from agents.errors import NotWelcome
 from agents.leader import LeaderSettings, run_leader
