@@ -1,6 +1,6 @@
 """Straight-line arithmetic as machine code. The one door to llvmlite.
 
-A control law of some seven thousand additions and multiplications runs in 2 us so. No operation is reordered or merged
+A control law of some seven thousand additions and multiplications runs in 4 us so. No operation is reordered or merged
 with another: the numbers are those of the same operations done one by one.
 """
 
@@ -23,8 +23,8 @@ UNARY = {"neg": "fneg double {}", **{name: f"call double @llvm.{name}.f64(double
 UNARY |= {"abs": "call double @llvm.fabs.f64(double {})", "sqrt": "call double @llvm.sqrt.f64(double {})"}
 INTRINSICS = ("sin", "cos", "fabs", "sqrt")
 
-LITTLE_EFFORT = 1
-"""LLVM's level of optimisation: registers are well used, and a law is compiled in a quarter of a second."""
+OPTIMISATION = 0
+"""None of LLVM's: a law is compiled in 30 ms instead of 250, and runs in 3.6 us instead of 2.7."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def compiled(steps: Sequence[Step], inputs: Array, outputs: Array) -> Callable[[
     module = llvm.parse_assembly(_text(steps))
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    machine = llvm.Target.from_default_triple().create_target_machine(opt=LITTLE_EFFORT, jit=True)
+    machine = llvm.Target.from_default_triple().create_target_machine(opt=OPTIMISATION, jit=True)
     engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     pointer = ctypes.c_void_p

@@ -134,7 +134,7 @@ def succeed(cwd: Path, wait_s: float) -> Succession:
             start(arm, "follower", "--arm", arm, who=arm)
         run = Succession(folder, (0, ""), 0)
         first = lead("first")
-        sim.wait_until(lambda: run.events("joined"), "the first leader")
+        sim.wait_until(lambda: any(each["kind"] == "started" for each in read_events(folder)), "the first tick")
         with open_client(endpoint, store.credential("observer")) as observer:
             observer.subscribe(Keys(RUN).progress, news.append)
             early = lead("early")
