@@ -21,6 +21,7 @@ from deploy.chaos.commands import app as chaos_app
 from deploy.credentials_cli import credentials, router
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import end_with_parent, leave_on_signals, raise_on_signals, stop_on_signals, stop_or_exit
+from deploy.paper.commands import paper, verify
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -236,6 +237,8 @@ def join(
 
 app.command()(credentials)
 app.command()(router)
+app.command()(paper)
+app.command()(verify)
 
 
 @app.command()

@@ -1,0 +1,144 @@
+"""Many runs, several at a time, each a ``palanquin run`` of its own; what is there already is not run again."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from deploy.exit_status import COULD_NOT_RUN
+from deploy.paper.plan import Run
+from sim_server.errors import SimError
+from sim_server.run_folder import METRICS, RUN, TRACE
+
+LONGEST_S = 1800.0
+"""Wall time after which a run is given up: a hundred times what the longest should take."""
+
+
+class BatchError(SimError):
+    """A run of a batch could not be run. What the others left stays, and is not run again."""
+
+    exit_status = COULD_NOT_RUN
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A run that has ended."""
+
+    run: Run
+    folder: Path
+    problem: str
+    """Why there is nothing in the folder; empty if there is."""
+
+
+class Engine(Protocol):
+    """Where runs are run."""
+
+    def run_all(self, runs: Sequence[Run], root: Path) -> Iterator[Done]:
+        """Run them all, in any order, and tell of each as it ends."""
+        ...
+
+
+def is_there(run: Run, root: Path) -> bool:
+    """Whether the folder holds this very run, whole."""
+    folder = root / run.name
+    if not all((folder / name).exists() for name in (RUN, METRICS, TRACE)):
+        return False
+    try:
+        found = json.loads((folder / RUN).read_text(encoding="utf-8"))
+        return bool(found["scenario"] == run.resolved() and found["ended"]["completed"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return False
+
+
+def run_one(run: Run, folder: str) -> str:
+    """Run it into this folder, in place of what is there; what was in the way, or nothing.
+
+    A verdict is no problem, whatever it is: the report judges for itself.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    command = [sys.executable, "-m", "deploy.cli", "run", run.scenario, "--seed", str(run.seed), "--out", folder]
+    for setting in run.settings():
+        command += ["--set", setting]
+    try:
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, check=False)
+    except subprocess.TimeoutExpired:
+        return f"not at its end after {LONGEST_S:g} s"
+    if (Path(folder) / METRICS).exists():
+        return ""
+    said = ended.stderr.strip().splitlines()
+    return f"exit status {ended.returncode}: {said[-1] if said else 'it said nothing'}"
+
+
+class LocalEngine:
+    """This machine's cores.
+
+    Args:
+        at_once: how many runs at a time.
+    """
+
+    def __init__(self, at_once: int | None = None) -> None:
+        self._at_once = at_once or os.cpu_count() or 1
+
+    def run_all(self, runs: Sequence[Run], root: Path) -> Iterator[Done]:
+        with ThreadPoolExecutor(self._at_once) as pool:
+            waiting = {pool.submit(run_one, run, str(root / run.name)): run for run in runs}
+            try:
+                for future in as_completed(waiting):
+                    run = waiting[future]
+                    yield Done(run, root / run.name, future.result())
+            finally:
+                pool.shutdown(cancel_futures=True)
+
+
+class RayEngine:
+    """A Ray cluster (the extra ``ray``) whose machines share the report's folder.
+
+    Args:
+        address: of the cluster; None for the one that RAY_ADDRESS names, or one of this machine's own.
+    """
+
+    def __init__(self, address: str | None = None) -> None:
+        import ray
+
+        self._ray: Any = ray
+        ray.init(address=address, ignore_reinit_error=True, log_to_driver=False)
+
+    def run_all(self, runs: Sequence[Run], root: Path) -> Iterator[Done]:
+        remote: Callable[..., Any] = self._ray.remote(num_cpus=1)(run_one).remote
+        waiting: dict[Any, Run] = {remote(run, str((root / run.name).absolute())): run for run in runs}
+        while waiting:
+            (ended,), _ = self._ray.wait(list(waiting), num_returns=1)
+            run = waiting.pop(ended)
+            yield Done(run, root / run.name, self._ray.get(ended))
+
+
+def missing(runs: Iterable[Run], root: Path) -> list[Run]:
+    """Those that are not there yet."""
+    return [run for run in runs if not is_there(run, root)]
+
+
+def run_missing(
+    runs: Sequence[Run], root: Path, engine: Engine, told: Callable[[int, int, Done | None], None]
+) -> Mapping[str, str]:
+    """Run what is not there yet; the problems by the run's name.
+
+    Args:
+        told: called with how many are there, how many there are to be, and the run that has just ended.
+    """
+    to_do = missing(runs, root)
+    there, problems = len(runs) - len(to_do), dict[str, str]()
+    told(there, len(runs), None)
+    for done in engine.run_all(to_do, root):
+        there += 1
+        if done.problem:
+            problems[done.run.name] = done.problem
+        told(there, len(runs), done)
+    return problems

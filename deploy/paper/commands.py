@@ -1,0 +1,119 @@
+"""The verbs ``palanquin paper`` and ``palanquin verify``."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT
+
+if TYPE_CHECKING:
+    from deploy.paper.judging import Judged
+
+SHORT_SEEDS, ABLATION_SEEDS = 2, 2
+
+
+def paper(
+    out: Annotated[Path, typer.Option(help="Where the report goes.")] = Path("runs/paper/report"),
+    runs: Annotated[Path, typer.Option(help="Where the runs go; those that are there are not run again.")] = Path(
+        "runs/paper"
+    ),
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of every condition.")] = 20,
+    short: Annotated[bool, typer.Option("--short", help="Two seeds, shorter runs, no ablations: minutes.")] = False,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only this experiment or ablation; may be repeated.")
+    ] = None,
+    at_once: Annotated[int | None, typer.Option(min=1, help="Runs at a time; one per core by default.")] = None,
+    engine: Annotated[Literal["local", "ray"], typer.Option(help="Where runs are run.")] = "local",
+    ray_address: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster.")] = None,
+) -> None:
+    """Run every experiment of the paper's section VI, and set its claims beside what was measured."""
+    from deploy.paper.ablations import ABLATIONS, ablation_runs
+    from deploy.paper.batch import LocalEngine, RayEngine, missing, run_missing
+    from deploy.paper.making import make_report
+    from deploy.paper.plan import SECTION_VI, section_vi_runs
+    from deploy.report import PatientConsole
+
+    wanted = list(section_vi_runs(range(1, 1 + (min(seeds, SHORT_SEEDS) if short else seeds)), short=short))
+    if not short:
+        wanted += ablation_runs(range(1, 1 + min(seeds, ABLATION_SEEDS)))
+    known = [*SECTION_VI, *(ablation.name for ablation in ABLATIONS)]
+    for name in only or []:
+        if name not in known:
+            raise typer.BadParameter(f"--only {name}: expected one of {', '.join(known)}")
+    wanted = [run for run in wanted if not only or run.group in only]
+    root = runs / "short" if short else runs
+    console = PatientConsole()
+    where = RayEngine(ray_address) if engine == "ray" else LocalEngine(at_once)
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console
+    )
+    with bar:
+        task = bar.add_task("runs", total=len(wanted))
+        problems = run_missing(
+            wanted, root, where, lambda there, total, done: bar.update(task, completed=there, total=total)
+        )
+    for name, problem in problems.items():
+        console.print(f"{name}: {problem}", style="red", markup=False, soft_wrap=True)
+    there = [run for run in wanted if run.name not in problems]
+    if left := missing(there, root):
+        console.print(f"{len(left)} runs are not there: start again to go on", style="red")
+    command = "palanquin " + shlex.join(sys.argv[1:])
+    judged = make_report([run for run in there if run not in left], root, out, command)
+    _print(console, judged)
+    console.print(f"report: {out / 'paper.md'}, {out / 'paper.html'}", soft_wrap=True)
+    if problems or left:
+        raise typer.Exit(COULD_NOT_RUN)
+    verdicts = {each.verdict for each in judged if each.preset == "paper"}
+    raise typer.Exit(
+        OF_VERDICT["violated" if "violated" in verdicts else "unknown" if "unknown" in verdicts else "holds"]
+    )
+
+
+def _print(console: Console, judged: Sequence[Judged]) -> None:
+    """The claims that there are runs for."""
+    from deploy.report import VERDICT_STYLE, plain_table
+
+    table = plain_table("claim", "law", "measured", "bound", "seeds", "verdict")
+    for each in judged:
+        if each.found:
+            spread = each.spread
+            text = f"{spread.text()} {each.found[0].unit}" if spread else ""
+            style = VERDICT_STYLE[each.verdict]
+            table.add_row(
+                each.claim.name, each.preset, text, each.found[0].bound, f"{each.holds_in} of {len(each.found)}",
+                f"[{style}]{each.verdict}[/]",
+            )  # fmt: skip
+    console.print(table)
+
+
+def verify(
+    report: Annotated[Path, typer.Argument(metavar="REPORT", help="A report.json, or the folder that it is in.")],
+    count: Annotated[int, typer.Option("--sample", min=1, help="How many runs to run again.")] = 3,
+    seed: Annotated[int, typer.Option(help="Which ones: another seed draws others.")] = 1,
+) -> None:
+    """Run a sample of a report's runs again, and compare."""
+    from deploy.paper.verifying import differences, read_report, run_again, sample
+    from sim_server.run_description import versions
+
+    content = read_report(report)
+    ours = {name: version for name, version in versions().items() if name != "commit"}
+    exact = all(content["versions"].get(name) == version for name, version in ours.items())
+    console, wrong = Console(), 0
+    console.print("same versions: every bit has to be the same" if exact else "other versions: one part in a thousand")
+    for entry in sample(content, count, seed):
+        with tempfile.TemporaryDirectory() as folder:
+            found = differences(entry, run_again(entry, Path(folder) / "run"), exact=exact)
+        wrong += len(found)
+        console.print(f"{entry['name']}: {'as reported' if not found else 'DIFFERS'}", markup=False)
+        for each in found:
+            console.print(f"  {each.metric}: reported {each.reported}, found {each.found}", markup=False)
+    raise typer.Exit(1 if wrong else 0)

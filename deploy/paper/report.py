@@ -1,0 +1,169 @@
+"""The report: docs/paper.md with its figures, the same as one HTML file, and report.json, on which both rest."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from deploy.paper.ablations import ABLATIONS
+from deploy.paper.judging import Judged
+from deploy.paper.plan import SECTION_VI, Run
+from deploy.paper.results import Results
+from sim_server.run_description import versions
+from sim_server.run_folder import METRICS
+
+REPORT = "report.json"
+WORDS = {"holds": "holds", "violated": "**does not hold**", "unknown": "cannot be told"}
+COMPARED = (
+    ("tilt_max_deg", "tilt, largest [deg]"),
+    ("sag_max_mm", "sag, largest [mm]"),
+    ("yaw_max_deg", "yaw, largest [deg]"),
+    ("goal_error_m", "goal error [m]"),
+    ("overshoot_m", "overshoot [m]"),
+    ("arrival_time_s", "arrival [s]"),
+    ("internal_force_rms_N", "internal force [N]"),
+    ("torque_rms_Nm", "torque, rms [N m]"),
+)
+"""Metrics of the tables, with their headings."""
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
+
+
+def claims_table(judged: Sequence[Judged]) -> str:
+    """Each claim beside what was measured."""
+    rows = []
+    for each in judged:
+        measured = each.spread
+        unit = each.found[0].unit if each.found else ""
+        rows.append(
+            [
+                each.claim.name,
+                each.claim.says,
+                each.claim.measures,
+                f"{measured.text()} {unit}".strip() if measured else "no runs",
+                each.found[0].bound if each.found else "",
+                f"{each.holds_in} of {len(each.found)}",
+                WORDS[each.verdict],
+            ]
+        )
+    return table(["claim", "the paper", "measured", "median (90 % range)", "bound", "seeds", ""], rows)
+
+
+def conditions_table(results: Results, group: str) -> str:
+    """Metrics of every condition and law of an experiment."""
+    rows = []
+    for condition in SECTION_VI[group]:
+        for preset in condition.presets:
+            if results.seeds(group, condition.name, preset):
+                rows.append([condition.label, preset, *_metrics(results, group, condition.name, preset)])
+    return table(["condition", "law", *(heading for _, heading in COMPARED)], rows)
+
+
+def ablation_tables(results: Results) -> str:
+    """A table for each ablation."""
+    parts = []
+    for ablation in ABLATIONS:
+        rows = [
+            [value, preset, *_metrics(results, ablation.name, value, preset)]
+            for value in ablation.values
+            for preset in ablation.presets
+            if results.seeds(ablation.name, value, preset)
+        ]
+        if rows:
+            head = [ablation.label, "law", *(heading for _, heading in COMPARED)]
+            parts.append(f"### {ablation.label.capitalize()}\n\n{table(head, rows)}")
+    return "\n".join(parts)
+
+
+def _metrics(results: Results, group: str, condition: str, variant: str) -> list[str]:
+    """The compared metrics as text. A metric that only some seeds have (an arrival) says in how many."""
+    seeds = len(results.seeds(group, condition, variant))
+    cells = []
+    for metric, _ in COMPARED:
+        found = results.spread(metric, group, condition, variant)
+        some = f" ({found.count} of {seeds})" if found and found.count < seeds else ""
+        cells.append(found.text() + some if found else "none")
+    return cells
+
+
+def describe(runs: Sequence[Run], results: Results, judged: Sequence[Judged], command: str) -> dict[str, Any]:
+    """The content of report.json: every run that the report rests on, with the digests of what went in and came out."""
+    return {
+        "command": command,
+        "versions": versions(),
+        "claims": [
+            {
+                "name": each.claim.name,
+                "law": each.preset,
+                "verdict": each.verdict,
+                "values": [found.value for found in each.found],
+                "bound": each.found[0].bound if each.found else "",
+            }
+            for each in judged
+        ],
+        "runs": [
+            {
+                "name": run.name,
+                "group": run.group,
+                "condition": run.condition,
+                "variant": run.variant,
+                "scenario": run.scenario,
+                "changes": run.changes,
+                "seed": run.seed,
+                "digest": run.digest(),
+                "metrics_sha256": _digest(results.folder(run) / METRICS),
+                "metrics": results.metrics(run),
+            }
+            for run in runs
+        ],
+    }
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def runs_table(runs: Sequence[Run]) -> str:
+    """The runs by condition and law: how many seeds, and one digest over theirs."""
+    grouped: dict[tuple[str, str, str], list[Run]] = {}
+    for run in runs:
+        grouped.setdefault((run.group, run.condition, run.variant), []).append(run)
+    rows = []
+    for (group, condition, variant), those in grouped.items():
+        seeds = [run.seed for run in those]
+        together = hashlib.sha256("".join(run.digest() for run in those).encode()).hexdigest()[:12]
+        rows.append([group, condition, variant, those[0].scenario, f"{min(seeds)} to {max(seeds)}", f"`{together}`"])
+    return table(["experiment", "condition", "law", "scenario", "seeds", "digest"], rows)
+
+
+def to_html(markdown: str, folder: Path, title: str) -> str:
+    """The report as one HTML file, its pictures inside."""
+    from markdown_it import MarkdownIt
+
+    body = MarkdownIt("commonmark").enable("table").render(markdown)
+
+    def inlined(match: re.Match[str]) -> str:
+        data = base64.b64encode((folder / match[1]).read_bytes()).decode()
+        return f'src="data:image/png;base64,{data}"'
+
+    body = re.sub(r'src="([^":]+\.png)"', inlined, body)
+    return (
+        f"<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><title>{title}</title><style>"
+        "body{font:15px/1.5 system-ui,sans-serif;max-width:75em;margin:2em auto;padding:0 1em}"
+        "table{border-collapse:collapse;font-size:13px}td,th{border:1px solid #ccc;padding:.2em .5em;text-align:left}"
+        f"img{{max-width:100%}}</style></head><body>\n{body}</body></html>\n"
+    )
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Readable, and the same bytes for the same content."""
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

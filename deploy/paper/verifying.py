@@ -1,0 +1,110 @@
+"""``palanquin verify``: a sample of a report's runs, run again, against what the report says of them."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deploy.exit_status import BAD_INPUT
+from deploy.paper.batch import BatchError, run_one
+from deploy.paper.plan import Run
+from sim_server.errors import SimError
+from sim_server.metrics import METRICS as NUMBERS
+from sim_server.run_folder import METRICS
+
+WALL_TIME = ("real_time_factor", "wall_s", "missed_percent", "slowed_s")
+"""Metrics that no two runs share."""
+OTHER_VERSIONS = 1e-3
+"""Relative: what other versions of MuJoCo or numpy may change, or one part in a thousand of the metric's own unit."""
+
+
+class ReportError(SimError):
+    """A report cannot be read."""
+
+    exit_status = BAD_INPUT
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One number that came out otherwise."""
+
+    run: str
+    metric: str
+    reported: Any
+    found: Any
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """The content of a report.json, given as file or as its folder.
+
+    Raises:
+        ReportError: it is none.
+    """
+    file = path / "report.json" if path.is_dir() else path
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        runs = [(entry["name"], entry["metrics"]["verdict"], run_of(entry)) for entry in content["runs"]]
+    except FileNotFoundError:
+        raise ReportError(f"{file}: no such file: expected a report.json of `palanquin paper`, or its folder") from None
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise ReportError(f"{file} is no report of `palanquin paper`: {type(error).__name__}: {error}") from None
+    if not runs:
+        raise ReportError(f"{file}: a report without runs: there is nothing to verify")
+    return dict(content)
+
+
+def run_of(entry: Mapping[str, Any]) -> Run:
+    """The run that an entry of a report names."""
+    return Run(
+        str(entry["group"]),
+        str(entry["condition"]),
+        str(entry["variant"]),
+        str(entry["scenario"]),
+        dict(entry["changes"]),
+        int(entry["seed"]),
+    )
+
+
+def sample(report: Mapping[str, Any], count: int, seed: int) -> list[Mapping[str, Any]]:
+    """So many of its entries, drawn from the seed."""
+    entries: Sequence[Mapping[str, Any]] = report["runs"]
+    return random.Random(seed).sample(entries, min(count, len(entries)))
+
+
+def run_again(entry: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """Its metrics now.
+
+    Raises:
+        BatchError: it could not be run.
+    """
+    problem = run_one(run_of(entry), str(folder))
+    if problem:
+        raise BatchError(f"{entry['name']} could not be run again: {problem}")
+    found: Mapping[str, Any] = json.loads((folder / METRICS).read_text(encoding="utf-8"))
+    return found
+
+
+def differences(entry: Mapping[str, Any], found: Mapping[str, Any], *, exact: bool) -> list[Difference]:
+    """The physical metrics that are not what the report says.
+
+    Args:
+        exact: with the same versions every bit has to be the same.
+    """
+    out = []
+    for metric in NUMBERS:
+        reported, now = entry["metrics"].get(metric), found.get(metric)
+        if metric in WALL_TIME or reported == now:
+            continue
+        if exact or not _close(reported, now):
+            out.append(Difference(entry["name"], metric, reported, now))
+    return out
+
+
+def _close(a: Any, b: Any) -> bool:
+    if not isinstance(a, int | float) or not isinstance(b, int | float):
+        return False
+    return abs(a - b) <= OTHER_VERSIONS * max(1.0, abs(a), abs(b))
