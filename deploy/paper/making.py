@@ -120,7 +120,7 @@ def _text(
         f"Made by `{command}`: {len(runs)} runs, up to {seeds} seeds a condition. A seed draws how the arms differ "
         "from their models, the sensors' noise and how the robots stand at the start. Numbers are medians over the "
         "seeds with the range of the middle 90 %. A claim holds if it does in at least 95 % of the seeds, does not "
-        "hold if it does in no more than half, and else cannot be told. `palanquin verify` runs a sample of this again.",
+        "hold if it does in no more than half, and else is open. `palanquin verify` runs a sample of this again.",
         "## Claims, with the paper's law",
         claims_table(paper),
         *(f"## {title}\n\n![{title}]({file})" for title, file in drawn.items()),

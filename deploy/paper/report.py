@@ -18,7 +18,7 @@ from sim_server.run_description import versions
 from sim_server.run_folder import METRICS
 
 REPORT = "report.json"
-WORDS = {"holds": "holds", "violated": "**does not hold**", "unknown": "cannot be told"}
+WORDS = {"holds": "holds", "violated": "**does not hold**", "unknown": "open"}
 COMPARED = (
     ("tilt_max_deg", "tilt, largest [deg]"),
     ("sag_max_mm", "sag, largest [mm]"),

@@ -1,0 +1,142 @@
+"""The report's runs: what they are, that none is run twice, and that a report can be checked by running it again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy.paper.ablations import ABLATIONS, ablation_runs
+from deploy.paper.batch import Done, is_there, run_missing
+from deploy.paper.plan import Run, merged, section_vi_runs
+from deploy.paper.verifying import ReportError, differences, read_report, run_of, sample
+from deploy.settings import scenario_changes
+from sim_server.run_folder import METRICS, RUN, TRACE
+from sim_server.scenario_files import load_scenario
+
+
+def run(seed: int = 1, **changes: Any) -> Run:
+    return Run("VI-C", "undisturbed", "paper", "transport", changes, seed)
+
+
+def leave(root: Path, done: Run, **changed: Any) -> None:
+    """What a run leaves, as far as the batch looks at it."""
+    folder = root / done.name
+    folder.mkdir(parents=True)
+    about = {"scenario": done.resolved(), "ended": {"completed": True}} | changed
+    (folder / RUN).write_text(json.dumps(about))
+    (folder / METRICS).write_text("{}")
+    (folder / TRACE).touch()
+
+
+class Written:
+    """An engine that leaves what it is told to, and remembers what it was asked for."""
+
+    def __init__(self, problems: Sequence[str] = ()) -> None:
+        self.asked: list[str] = []
+        self._problems = problems
+
+    def run_all(self, runs: Sequence[Run], root: Path) -> Iterator[Done]:
+        for each in runs:
+            self.asked.append(each.name)
+            problem = "it broke" if each.name in self._problems else ""
+            if not problem:
+                leave(root, each)
+            yield Done(each, root / each.name, problem)
+
+
+@pytest.mark.parametrize("each", [*section_vi_runs(range(1, 2)), *ablation_runs(range(1, 2))], ids=lambda run: run.name)
+def test_every_planned_run_is_a_scenario_and_its_settings_say_the_same_as_its_changes(each: Run) -> None:
+    changes = scenario_changes(each.seed, each.settings())
+    assert load_scenario(each.scenario, changes).scenario.model_dump(mode="json") == each.resolved()
+
+
+def test_no_two_planned_runs_share_a_folder() -> None:
+    names = [each.name for each in [*section_vi_runs(range(1, 4)), *ablation_runs(range(1, 4))]]
+    assert len(set(names)) == len(names)
+    assert len({ablation.name for ablation in ABLATIONS}) == len(ABLATIONS)
+
+
+def test_a_run_is_its_scenario_changes_and_seed() -> None:
+    assert run(1).digest() == run(1).digest()
+    assert run(1).digest() != run(2).digest()
+    assert run(1).digest() != run(1, load={"mass_kg": 21.0}).digest()
+
+
+def test_tables_are_laid_over_each_other_without_changing_the_ones_below() -> None:
+    below = {"team": {"count": 4, "gains": {"alpha": 1.0}}}
+    assert merged(below, {"team": {"gains": {"beta": 2.0}}}) == {
+        "team": {"count": 4, "gains": {"alpha": 1.0, "beta": 2.0}}
+    }
+    assert below == {"team": {"count": 4, "gains": {"alpha": 1.0}}}
+
+
+def test_what_is_there_is_not_run_again_and_what_failed_is(tmp_path: Path) -> None:
+    runs = [run(1), run(2), run(3)]
+    first = Written(problems=[runs[1].name])
+    counts: list[tuple[int, int]] = []
+    problems = run_missing(runs, tmp_path, first, lambda there, total, done: counts.append((there, total)))
+    assert first.asked == [each.name for each in runs]
+    assert problems == {runs[1].name: "it broke"}
+    assert counts == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    second = Written()
+    assert run_missing(runs, tmp_path, second, lambda *_: None) == {}
+    assert second.asked == [runs[1].name]
+
+
+def test_another_run_in_the_same_place_or_half_of_one_is_not_taken_for_it(tmp_path: Path) -> None:
+    for number, changed in enumerate([{"scenario": run(2).resolved()}, {"ended": {"completed": False}}, {"ended": 3}]):
+        root = tmp_path / str(number)
+        leave(root, run(1), **changed)
+        assert not is_there(run(1), root)
+    root = tmp_path / "whole"
+    leave(root, run(1))
+    assert is_there(run(1), root)
+    (root / run(1).name / TRACE).unlink()
+    assert not is_there(run(1), root)
+
+
+def entry(**metrics: Any) -> dict[str, Any]:
+    each = run(1)
+    return {
+        "name": each.name, "group": each.group, "condition": each.condition, "variant": each.variant,
+        "scenario": each.scenario, "changes": dict(each.changes), "seed": each.seed,
+        "metrics": {"verdict": "holds", "tilt_max_deg": 0.2, "wall_s": 10.0} | metrics,
+    }  # fmt: skip
+
+
+def test_verifying_sees_one_bit_with_the_same_versions_and_a_part_in_a_thousand_with_others() -> None:
+    same, close, far = ({"tilt_max_deg": value, "wall_s": 99.0} for value in (0.2, 0.2 + 1e-9, 0.3))
+    assert differences(entry(), same, exact=True) == [], "wall times are no physics"
+    assert [each.metric for each in differences(entry(), close, exact=True)] == ["tilt_max_deg"]
+    assert differences(entry(), close, exact=False) == []
+    assert [each.metric for each in differences(entry(), far, exact=False)] == ["tilt_max_deg"]
+    assert [each.metric for each in differences(entry(), {}, exact=False)] == ["tilt_max_deg"], "gone is not close"
+
+
+def test_a_reports_entry_is_the_run_that_it_was_made_of() -> None:
+    assert run_of(json.loads(json.dumps(entry()))).digest() == run(1).digest()
+
+
+def test_a_sample_repeats_with_its_seed_and_takes_no_run_twice() -> None:
+    report = {"runs": [entry() | {"name": str(k)} for k in range(10)]}
+    names = [each["name"] for each in sample(report, 4, 1)]
+    assert names == [each["name"] for each in sample(report, 4, 1)]
+    assert len(set(names)) == 4
+    assert len(sample(report, 99, 1)) == 10
+
+
+@pytest.mark.parametrize("content", ["", "{}", '{"runs": []}', '{"runs": [{"name": "x"}]}'])
+def test_what_is_no_report_is_refused_in_one_sentence(content: str, tmp_path: Path) -> None:
+    file = tmp_path / "report.json"
+    file.write_text(content)
+    with pytest.raises(ReportError, match="report"):
+        read_report(tmp_path)
+
+
+def test_a_missing_report_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match="no such file"):
+        read_report(tmp_path / "nowhere.json")
