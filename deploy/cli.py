@@ -68,12 +68,13 @@ def run(
     scenario: ScenarioName,
     out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed.")] = None,
+    picture: Annotated[bool, typer.Option("--picture/--no-picture", help="Draw run.png.")] = True,
     set_: Settings = None,
 ) -> None:
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from deploy.running import run_scenario
 
-    raise typer.Exit(run_scenario(scenario, out, seed, set_))
+    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture))
 
 
 @app.command()

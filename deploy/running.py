@@ -24,7 +24,9 @@ from wire.credentials import for_one_run
 from wire.zenoh_link import free_endpoint, open_client
 
 
-def run_scenario(scenario: str, out: Path | None, seed: int | None, settings: Sequence[str] | None) -> int:
+def run_scenario(
+    scenario: str, out: Path | None, seed: int | None, settings: Sequence[str] | None, *, picture: bool = True
+) -> int:
     """Launch it, show its progress, print what it left; the exit status.
 
     Args:
@@ -32,6 +34,7 @@ def run_scenario(scenario: str, out: Path | None, seed: int | None, settings: Se
         out: the run folder; a dated one under runs/ by default.
         seed: another seed.
         settings: values to change, each ``KEY=VALUE``.
+        picture: draw one of what it left.
     """
     arguments = ["--seed", str(seed)] if seed is not None else []
     for setting in settings or []:
@@ -64,16 +67,16 @@ def run_scenario(scenario: str, out: Path | None, seed: int | None, settings: Se
                 status, problem = COULD_NOT_RUN, str(interrupted)
     finally:
         launcher.end_all()
-    return _conclude(console, folder, status, problem)
+    return _conclude(console, folder, status, problem, picture=picture)
 
 
-def _conclude(console: Console, folder: Path, status: int, problem: str) -> int:
-    """Print what a run left and draw its picture; the exit status."""
+def _conclude(console: Console, folder: Path, status: int, problem: str, *, picture: bool) -> int:
+    """Print what a run left and draw its picture, if one is wanted; the exit status."""
     if (folder / METRICS).exists():
         metrics, judged = compute_metrics(folder)
         print_metrics(console, metrics, judged)
-        picture = _draw(folder)
-        console.print(f"run folder: {folder}" + (f" (picture: {picture.name})" if picture else ""), soft_wrap=True)
+        drawn = _draw(folder) if picture else None
+        console.print(f"run folder: {folder}" + (f" (picture: {drawn.name})" if drawn else ""), soft_wrap=True)
     else:
         console.print(f"no metrics: the run did not end in order; run folder: {folder}", soft_wrap=True)
     if problem:
