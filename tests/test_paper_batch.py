@@ -88,7 +88,8 @@ def test_what_is_there_is_not_run_again_and_what_failed_is(tmp_path: Path) -> No
 
 
 def test_another_run_in_the_same_place_or_half_of_one_is_not_taken_for_it(tmp_path: Path) -> None:
-    for number, changed in enumerate([{"scenario": run(2).resolved()}, {"ended": {"completed": False}}, {"ended": 3}]):
+    spoiled: list[dict[str, Any]] = [{"scenario": run(2).resolved()}, {"ended": {"completed": False}}, {"ended": 3}]
+    for number, changed in enumerate(spoiled):
         root = tmp_path / str(number)
         leave(root, run(1), **changed)
         assert not is_there(run(1), root)
