@@ -20,12 +20,13 @@ from sim_server.checkpoint_file import FOLDER, Checkpoint
 from sim_server.clock import make_clock
 from sim_server.connections import connections_of
 from sim_server.errors import PlantFailed, ScenarioError, SimError
-from sim_server.happenings import Happenings, Undone
+from sim_server.happenings import Happenings
 from sim_server.layout import LayoutError
 from sim_server.lockstep import Stopped
 from sim_server.metrics import tilt_deg
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.newcomers import Newcomers
+from sim_server.process_deeds import Undone
 from sim_server.reception import LEADER, Arrived, Reception, Terms
 from sim_server.run_description import Ending, describe_agents, describe_run
 from sim_server.run_folder import AUDIT, METRICS, RUN, RunFolder, compute_metrics, write_json

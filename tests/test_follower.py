@@ -5,24 +5,41 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import pytest
 
+import agents.retreat
 from agents.arm_model import ArmModel
+from agents.departure import Departure
 from agents.errors import AgentError, NotWelcome
 from agents.follower import Follower, FollowerSettings, run_follower
 from agents.leader import LeaderSettings, bounded_pull, pull, rotate, run_leader
+from agents.reach import OPEN_M
 from agents.session import AgentSession, RunEnded
-from wire.codec import decode, encode
+from wire.codec import decode, decode_any, encode
 from wire.errors import Reason
 from wire.keys import Keys
 from wire.memory import Broker, MemoryQuestion
-from wire.messages import Command, End, Hello, LeaderForce, LeaderView, Refusal, State, Vector, Welcome
+from wire.messages import (
+    Command,
+    End,
+    Goodbye,
+    Hello,
+    LeaderForce,
+    LeaderView,
+    Leaving,
+    Refusal,
+    State,
+    Vector,
+    Welcome,
+)
 
 DEADLINE_S = 10.0
 KEYS = Keys("test")
+HELLO = Hello("follower", "test", "a1", "panda", "", 1, "here")
 SETTINGS = FollowerSettings("test", "a1", "panda", "paper", {}, join_timeout_s=DEADLINE_S, state_timeout_s=0.02)
 Q: Vector = (0.0, -0.1, 0.0, -2.1, 0.0, 2.0, 0.785)
 ZERO: Vector = (0.0,) * 7
@@ -33,6 +50,15 @@ class PlayedSimulator:
 
     def __init__(self, clock: Literal["lock-step", "real-time"], reply: Callable[[], Welcome | Refusal] | None = None):
         self.broker = Broker()
+        self.play(clock, reply)
+
+    def play(
+        self,
+        clock: Literal["lock-step", "real-time"],
+        reply: Callable[[], Welcome | Refusal] | None = None,
+        strut: Vector = ZERO,
+    ) -> None:
+        """Be there, from now on."""
         self.link = self.broker.link()
         self.answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         points: dict[str, Vector] = {"front": (0.8, 0.0, 0.7)}
@@ -43,7 +69,7 @@ class PlayedSimulator:
             points=points,
             force_max_N=40.0,
             carry_height_m=0.0,
-            strut=(0.0,) * 7,
+            strut=strut,
         )
         for keys in (KEYS.arm("a1"), KEYS.leader):
             self.link.subscribe(keys.command, self.answers.put)
@@ -53,8 +79,7 @@ class PlayedSimulator:
         self.view = self.link.publisher(KEYS.leader.state)
         self.ended: queue.SimpleQueue[str | Exception] = queue.SimpleQueue()
 
-    @staticmethod
-    def _answer(question: MemoryQuestion, reply: Welcome | Refusal) -> None:
+    def _answer(self, question: MemoryQuestion, reply: Welcome | Refusal) -> None:
         question.reply(encode(reply))
 
     def start(self, agent: Callable[[], str]) -> None:
@@ -123,8 +148,7 @@ def test_in_real_time_a_follower_holds_its_arm_up_when_states_stop_coming() -> N
 
 
 def joined(simulator: PlayedSimulator) -> AgentSession:
-    hello = Hello("follower", "test", "a1", "panda", "", 1, "here")
-    session = AgentSession(simulator.broker.link(), KEYS.arm("a1"), KEYS.sim_alive, hello)
+    session = AgentSession(simulator.broker.link(), KEYS.arm("a1"), KEYS.sim_alive, HELLO)
     session.join(DEADLINE_S)
     return session
 
@@ -219,6 +243,107 @@ def test_a_follower_ends_when_the_simulator_is_gone() -> None:
     ended = simulator.ended.get(timeout=DEADLINE_S)
     assert isinstance(ended, AgentError)
     assert "gone" in str(ended)
+
+
+class Witness(PlayedSimulator):
+    """Notes what is said on the hello key."""
+
+    def __init__(self, clock: Literal["lock-step", "real-time"] = "lock-step", strut: Vector = ZERO) -> None:
+        self.said: list[Hello | Leaving | Goodbye] = []
+        self.departure = Departure()
+        self.broker = Broker()
+        self.play(clock, strut=strut)
+
+    def _answer(self, question: MemoryQuestion, reply: Welcome | Refusal) -> None:
+        message = decode_any(question.payload)
+        assert isinstance(message, Hello | Leaving | Goodbye)
+        self.said.append(message)
+        question.reply(encode(reply if isinstance(message, Hello) else message))
+
+    def follow(self) -> None:
+        link, settings = self.broker.link(), replace(SETTINGS, leave_s=0.002, reconnect_s=DEADLINE_S)
+        self.start(lambda: run_follower(link, settings, self.departure))
+        wait_for(self.state.matched)
+
+    def tick(self, tick: int) -> Command:
+        self.state.put(state(tick))
+        return self.command()
+
+
+def test_a_follower_that_is_told_to_leave_says_so_before_its_next_answer_and_answers_on() -> None:
+    simulator = Witness()
+    simulator.follow()
+    before = simulator.tick(0)
+    assert simulator.departure.ask()
+    wait_for(lambda: simulator.said[1:] == [Leaving("a1", 3)])
+    commands = [simulator.tick(tick) for tick in range(1, 8)]
+    assert [command.tick for command in commands] == list(range(1, 8))
+    assert before.grip_m == commands[0].grip_m == 0.0, "it lets its share down first"
+    assert [command.grip_m for command in commands[3:]] == [OPEN_M] * 4, "2 ms later its hand opens"
+    simulator.state.put(encode(End("over", "enough")))
+    assert simulator.ended.get(timeout=DEADLINE_S) == "enough", "the run may end meanwhile"
+
+
+def test_the_goodbye_is_the_answer_to_the_state_after_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So it arrives between two ticks that are certain, and the run repeats byte for byte."""
+    monkeypatch.setattr(agents.retreat, "PATIENCE_S", 0.0105)
+    simulator = Witness()
+    simulator.follow()
+    simulator.tick(0)
+    simulator.departure.ask()
+    wait_for(lambda: len(simulator.said) == 2)
+    for tick in range(1, 14):
+        simulator.tick(tick)
+    assert simulator.said[2:] == []
+    simulator.state.put(state(14))
+    assert simulator.ended.get(timeout=DEADLINE_S) == "left in order"
+    assert simulator.said[2:] == [Goodbye("a1", 3)]
+    assert simulator.answers.empty()
+
+
+def test_a_follower_that_reaches_turns_back_with_open_fingers() -> None:
+    simulator = Witness(strut=(1.5, 0.0, 0.5, 0.0, 1.0, 0.0, 0.0))
+    simulator.follow()
+    simulator.tick(0)
+    simulator.departure.ask()
+    wait_for(lambda: len(simulator.said) == 2)
+    assert simulator.tick(1).grip_m == OPEN_M
+
+
+def test_a_departure_is_seen_to_once_and_only_by_one_who_is_in() -> None:
+    departure = Departure()
+    assert not departure.ask(), "nobody hears it: end at once"
+    simulator = Witness()
+    link = simulator.broker.link()
+    session = AgentSession(link, KEYS.arm("a1"), KEYS.sim_alive, HELLO)
+    departure.heard_by(session.wake)
+    assert not departure.ask(), "not let in yet"
+    session.join(DEADLINE_S)
+    assert departure.ask()
+    assert session.receive(DEADLINE_S) is None, "it wakes up for that"
+    assert not departure.ask(), "asked again: in a hurry"
+    simulator.link.close()
+    with pytest.raises(AgentError, match="gone"):
+        session.receive(DEADLINE_S)
+    departure = Departure()
+    departure.heard_by(session.wake)
+    assert not departure.ask(), "not in any more"
+
+
+def test_a_follower_that_was_leaving_a_simulator_that_died_leaves_the_next_one() -> None:
+    first = Witness()
+    first.follow()
+    first.tick(0)
+    first.departure.ask()
+    wait_for(lambda: len(first.said) == 2)
+    first.link.close()
+    second = first  # the same place, another simulator
+    second.said = []
+    second.play("lock-step", strut=(1.5, 0.0, 0.5, 0.0, 1.0, 0.0, 0.0))
+    wait_for(lambda: len(second.said) == 1)
+    command = second.tick(0)
+    assert second.said[1:] == [Leaving("a1", 3)]
+    assert command.grip_m == OPEN_M, "its hand had opened by then: it goes on from there"
 
 
 def test_the_leader_answers_every_view_and_refuses_a_point_that_the_load_lacks() -> None:
