@@ -3,8 +3,8 @@
 ``detection``: how soon the loss of one of two followers is noticed, N times each (3), in ticks and in wall time, for
 every way in which it can be lost; nothing is scheduled, the simulator is told nothing. ``rounds``: one agent killed and
 started N times (50) in one run, and what the simulator holds in memory, descriptors and threads meanwhile, beside a run
-in which it is only stopped for 10 ms. ``repeats``: ``dropout``, ``rejoin``, ``join`` and ``relay`` N times (3), and their
-traces' sums. Without an argument all of it, about half an hour on two cores.
+in which it is only stopped for 10 ms. ``repeats``: ``dropout``, ``rejoin``, ``join`` and ``relay`` N times (3), and
+their traces' sums. Without an argument all of it, about half an hour on two cores.
 """
 
 from __future__ import annotations
