@@ -5,7 +5,6 @@ The description (wire/arms) is the agent's own copy of the data sheet; the simul
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from agents.equations.chain import Chain, Link
 from agents.errors import AgentError
 from wire.arms import arm_digest, arm_path
 
@@ -65,6 +65,8 @@ class ArmModel:
             raise AgentError(f"arm model {name}: no site named 'tcp' in its description")
         self._tcp = self._model.getFrameId("tcp")
         self.joints: int = self._model.nv
+        self.chain = self._read_chain()
+        """What the model is made of, for who works its terms out in a way of his own (agents/equations/chain.py)."""
         self._fold = np.triu(np.ones((self.joints, self.joints)), 1) + 0.5 * np.eye(self.joints)
 
     def snapshot(self, q: Array, qd: Array) -> ArmSnapshot:
@@ -88,19 +90,6 @@ class ArmModel:
             R_BE=placement.rotation.copy(),
         )
 
-    def fill(self, q: Array, qd: Array, terms: Mapping[str, Array]) -> None:
-        """Write what a torque law needs of :meth:`snapshot` into ``terms``: the arrays C, g, M_inv, J, Jdot, p_BE and
-        R_BE of the same shapes. Of the symmetric M_inv only the upper triangle. Half the cost: nothing is allocated."""
-        model, data, tcp = self._model, self._data, self._tcp
-        terms["C"][:] = pin.computeCoriolisMatrix(model, data, q, qd)
-        terms["g"][:] = pin.computeGeneralizedGravity(model, data, q)
-        terms["M_inv"][:] = pin.computeMinverse(model, data, q)
-        placement = pin.updateFramePlacement(model, data, tcp)
-        terms["J"][:] = pin.getFrameJacobian(model, data, tcp, pin.LOCAL_WORLD_ALIGNED)
-        terms["Jdot"][:] = pin.getFrameJacobianTimeVariation(model, data, tcp, pin.LOCAL_WORLD_ALIGNED)
-        terms["p_BE"][:] = placement.translation
-        terms["R_BE"][:] = placement.rotation
-
     def hand(self, q: Array) -> tuple[Array, Array, Array]:
         """Of :meth:`snapshot` at rest the hand's part alone: p_BE (3,) m, R_BE (3, 3) and J (6, n)."""
         model, data, tcp = self._model, self._data, self._tcp
@@ -113,6 +102,35 @@ class ArmModel:
         """Gravity torque at q, (n,) N m."""
         g: Array = pin.computeGeneralizedGravity(self._model, self._data, q).copy()
         return g
+
+    def _read_chain(self) -> Chain:
+        """Raises :class:`AgentError` if the arm is no chain of turning joints."""
+        model, tool = self._model, self._model.frames[self._tcp]
+        links = []
+        for index in range(1, model.njoints):
+            axis, placement, body = (
+                np.array(self._data.joints[index].S).ravel(),
+                model.jointPlacements[index],
+                model.inertias[index],
+            )
+            if model.parents[index] != index - 1 or len(axis) != 6 or axis[:3].any():
+                raise AgentError(f"arm model {self.name}: {model.names[index]}: expected a chain of turning joints")
+            links.append(
+                Link(
+                    p=placement.translation.copy(),
+                    R=placement.rotation.copy(),
+                    axis=axis[3:],
+                    mass=body.mass,
+                    com=body.lever.copy(),
+                    inertia=body.inertia.copy(),
+                    rotor_inertia=float(model.armature[index - 1]),
+                )
+            )
+        if tool.parentJoint != model.njoints - 1:
+            raise AgentError(f"arm model {self.name}: the site 'tcp' is not on the last link")
+        return Chain(
+            tuple(links), tool.placement.translation.copy(), tool.placement.rotation.copy(), model.gravity.linear.copy()
+        )
 
     def _symmetric(self, filled_above: Array) -> Array:
         """The symmetric matrix of which Pinocchio fills the upper triangle only; always a copy."""

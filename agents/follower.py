@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.arm_model import ArmModel
+from agents.at_once import AtOnce
 from agents.controllers import make_controller
 from agents.controllers.interface import Sensed
 from agents.departure import Departure
@@ -109,9 +110,9 @@ class Follower:
 
         if self._retreat is not None:
             effort, self._grip_m = self._retreat.step(law, q, qd, state.grip_m, state.odometry, dt_s)
-        elif self._reach is not None:
-            effort, self._grip_m = self._reach.step(q, qd, state.grip_m, state.odometry, dt_s)
-            if self._reach.holds:
+        elif (reach := self._reach) is not None:
+            effort, self._grip_m = reach.step(q, qd, state.grip_m, state.odometry, dt_s)
+            if reach.holds:
                 log.info("arm %s: holds its strut, carries", self.settings.arm)
                 self._reach = None
         else:
@@ -183,13 +184,14 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome, departur
     in_real_time = welcome.clock == "real-time"
     receive = session.receive_newest if in_real_time else session.receive
     timeout_s = settings.state_timeout_s if in_real_time else 1.0
-    holding = False
+    holding, at_once = False, AtOnce(session, follower, period_s)
     while True:
         state = receive(timeout_s)
         if departure.wanted and not follower.is_retreating:
-            session.say_leaving()  # before the first state that is answered so: whoever ordered it waits for that
-            log.info("arm %s: leaves", settings.arm)
+            session.answer_at_once(None)
             follower.retreat()
+            log.info("arm %s: leaves", settings.arm)
+            session.say_leaving()  # last: whoever ordered it waits for that, and then sends the next state
             if state is None:
                 continue
         if state is None:
@@ -209,4 +211,7 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome, departur
         holding = False
         if follower.has_retreated:  # the goodbye is the answer to this state: between which ticks it comes is certain
             return
-        session.send(follower.answer(state, session.lease, period_s))
+        command = follower.answer(state, session.lease, period_s)
+        if not in_real_time and not follower.is_retreating:
+            at_once.note(command.step_ns)
+        session.send(command)

@@ -6,7 +6,6 @@ Knows nothing but what the robot itself feels. What the others feel of it is tha
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
@@ -99,7 +98,8 @@ class Retreat:
         base, rate = np.array(odometry[:3]), np.array(odometry[3:])
         if not self._is_loose:
             if grip_m < min(self._closed_m + TOUCH_M, OPEN_M):
-                return replace(motion.effort(q, qd), base_force=self._base_force), OPEN_M
+                held = motion.effort(q, qd)
+                return CheckedEffort(held.torque, self._base_force, held.stiffness), OPEN_M
             self._is_loose = True
             motion.speed = rate.copy()
             motion.speed[:2] += (self._arm.hand(q)[2] @ qd)[:2]  # as the hand, and so the load, goes

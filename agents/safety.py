@@ -6,10 +6,10 @@ In plain numbers: numpy is slower on seven of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from agents.arm_model import ArmModel
@@ -21,8 +21,7 @@ Array = NDArray[np.float64]
 Numbers = tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedEffort:
+class CheckedEffort(Struct, frozen=True, gc=False):
     """An :class:`agents.controllers.interface.Effort` that may go to the motors: complete, finite, within limits."""
 
     torque: Numbers

@@ -25,6 +25,8 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.arm_model import ArmModel
+from agents.controllers.interface import Sensed
+from agents.controllers.paper import PaperController
 from agents.follower import Follower, FollowerSettings
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario_files import load_scenario
@@ -54,9 +56,7 @@ def warm_parts(changes: dict[str, Any]) -> dict[str, float]:
     follower = Follower(FollowerSettings("bench", "a1", scenario.team.arm, "paper", {}))
     arm = ArmModel(scenario.team.arm)
     q, qd = world.q_home.copy(), np.zeros(arm.joints)
-    n = arm.joints
-    shapes = {"C": (n, n), "g": (n,), "M_inv": (n, n), "J": (6, n), "Jdot": (6, n), "p_BE": (3,), "R_BE": (3, 3)}
-    terms = {name: np.zeros(shape) for name, shape in shapes.items()}
+    controller, sensed = PaperController(arm), Sensed(q, qd, np.zeros(arm.joints), np.zeros(6))
     reading = plant.read()["a1"]
     state = State("a1", 0, 0, reading.q, reading.qd, reading.tau, reading.wrench, reading.grip_m, reading.odometry)
     command = follower.answer(state, 1, 1e-3)
@@ -66,7 +66,8 @@ def warm_parts(changes: dict[str, Any]) -> dict[str, float]:
         "follower: whole answer (decode, law, encode)": median_us(
             lambda: encode(follower.answer(decode(state_bytes, State), 1, 1e-3))
         ),
-        "follower: of that, Pinocchio's terms": median_us(lambda: arm.fill(q, qd, terms)),
+        "follower: of that, the law and the arm's terms": median_us(lambda: controller.step(sensed, 1e-3)),
+        "beside it: Pinocchio's terms alone": median_us(lambda: arm.snapshot(q, qd)),
         "follower: of that, decode a state": median_us(lambda: decode(state_bytes, State)),
         "simulator: read all sensors": median_us(plant.read),
         "simulator: encode one state": median_us(lambda: encode(state)),

@@ -5,13 +5,14 @@ Motor torques and base forces go into ``qfrc_applied``; the leader's pull into `
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, NoReturn
 
 import mujoco
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from sim_server.bad_grasp import BadGrasp
@@ -87,7 +88,8 @@ class MujocoPlant:
         """From the load's centre of mass to the pulled point, (3,) m in O."""
         self._pull_force = np.zeros(3)
         self._see(self._data)
-        self._stiffness = np.zeros((len(arms), limits.joints))
+        self._stiffness: list[Numbers] = [(0.0,) * limits.joints for _ in arms]
+        """As the agents report it, (N, n) N m/rad; made an array only where a row of the trace wants one."""
         self.tick = 0
         mujoco.set_mju_user_warning(_ignore)
         self._apply_efforts()
@@ -104,6 +106,7 @@ class MujocoPlant:
         self._arm_dofs = _indices([ids.arm_dof for ids in arms])
         self._arm_qpos = _indices([ids.arm_qpos for ids in arms])
         self._base_dofs = _indices([ids.base_dof for ids in arms])
+        self._flat_base_dofs = self._base_dofs.ravel()
         self._base_qpos = _indices([ids.base_qpos for ids in arms])
         self._sensors = np.hstack(
             [_indices([ids.force_sensor for ids in arms]), _indices([ids.torque_sensor for ids in arms])]
@@ -122,7 +125,7 @@ class MujocoPlant:
         gravity = self._data.qfrc_bias[self._arm_dofs]
         self._drivers.exchange(rows, gravity)
         self._noise.exchange(rows, [arm_number(name) for name in self._names])
-        self._stiffness = np.array([np.zeros(len(gravity[0])) if row is None else self._stiffness[row] for row in rows])
+        self._stiffness = [(0.0,) * gravity.shape[1] if row is None else self._stiffness[row] for row in rows]
         self._see(self._data)
         self.hands.move_to(world, arrived)
         for bad in self._slipping.values():
@@ -204,7 +207,7 @@ class MujocoPlant:
         }
         for name in self.hands.empty:
             grip_m, odometry = self.hands.feel(name)
-            readings[name] = replace(readings[name], grip_m=grip_m, odometry=odometry)
+            readings[name] = structs.replace(readings[name], grip_m=grip_m, odometry=odometry)
         return readings
 
     def load_pose(self) -> LoadPose:
@@ -247,7 +250,7 @@ class MujocoPlant:
 
     def _leave_to(self, arm: str, behaviour: Behaviour) -> None:
         self._drivers.leave_to(self._row[arm], behaviour)
-        self._stiffness[self._row[arm]] = 0.0
+        self._stiffness[self._row[arm]] = (0.0,) * self._arm_dofs.shape[1]
 
     def loosen(self, arm: str, force_N: float) -> None:
         """From now on this hand holds badly: softly, with spurious forces of this size per axis."""
@@ -285,7 +288,7 @@ class MujocoPlant:
                 drivers.advance(self._dt_s)
             self._apply_efforts()
             mujoco.mj_step(self._model, self._data)
-        if self._warnings.any():
+        if np.count_nonzero(self._warnings):
             self._fail()
         if self.hands.closing:
             self.hands.watch(self.tick, self._dt_s * self._substeps)
@@ -311,14 +314,14 @@ class MujocoPlant:
         )
 
     def _apply_efforts(self) -> None:
-        drivers, applied, dofs = self._drivers, self._qfrc_applied, self._base_dofs
+        applied, drivers = self._qfrc_applied, self._drivers
         applied[self._arm_dofs] = drivers.torque
-        yaw = self._qpos[self._base_qpos[:, 2]]
-        c, s = np.cos(yaw), np.sin(yaw)
-        x, y, turn = drivers.base_force.T
-        applied[dofs[:, 0]] = c * x - s * y
-        applied[dofs[:, 1]] = s * x + c * y
-        applied[dofs[:, 2]] = turn
+        forces: list[float] = []  # in plain numbers: for a handful of bases numpy takes twice as long
+        yaws = self._qpos[self._base_qpos[:, 2]].tolist()
+        for yaw, (x, y, turn) in zip(yaws, drivers.base_force.tolist(), strict=True):
+            c, s = math.cos(yaw), math.sin(yaw)
+            forces += (c * x - s * y, s * x + c * y, turn)
+        applied[self._flat_base_dofs] = forces
         self._load_force[:] = self._pull_force
         self._load_torque[:] = _cross((self._R_WO @ self._pull_lever).tolist(), self._pull_force.tolist())
         for bad in self._slipping.values():
@@ -339,7 +342,7 @@ class MujocoPlant:
             "grasps": {name: getattr(model, name) for name in GRASPS},
             "drivers": self._drivers.state(),
             "noise": self._noise.state(),
-            "stiffness": self._stiffness,
+            "stiffness": np.array(self._stiffness),
             "pull_lever": self._pull_lever,
             "pull_force": self._pull_force,
             "slipping": {arm: bad.state() for arm, bad in self._slipping.items()},
@@ -372,7 +375,9 @@ class MujocoPlant:
             fill(getattr(data, name), saved["left_by_the_step"][name])
         self._drivers.restore(saved["drivers"])
         self._noise.restore(saved["noise"])
-        fill(self._stiffness, saved["stiffness"])
+        stiffness = np.array(self._stiffness)
+        fill(stiffness, saved["stiffness"])
+        self._stiffness = list(stiffness)
         fill(self._pull_lever, saved["pull_lever"])
         self._pull_force = np.zeros(3)
         fill(self._pull_force, saved["pull_force"])
@@ -401,7 +406,7 @@ class MujocoPlant:
                 arms[:, : 2 * joints],
                 drivers.torque,
                 self._data.sensordata[self._sensors],
-                self._stiffness,
+                np.array(self._stiffness),
                 arms[:, 2 * joints :],
                 drivers.base_force,
                 grip_wrenches(self.world),

@@ -6,10 +6,10 @@ The state that agents get comes from :meth:`Plant.read` alone, so nothing that o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from wire.messages import Vector
@@ -18,8 +18,7 @@ Array = NDArray[np.float64]
 Numbers = Vector | Array
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(Struct, frozen=True, gc=False):
     """What the sensors of one arm say; fields as in :class:`wire.messages.State`."""
 
     q: Vector
@@ -30,8 +29,7 @@ class Reading:
     odometry: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class LoadPose:
+class LoadPose(Struct, frozen=True, gc=False):
     """Where the load's frame O is and how it moves, in the world frame."""
 
     position: Array

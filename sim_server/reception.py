@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from msgspec import Struct
+
 from sim_server.snapshot import Snapshot, SnapshotError
 from sim_server.tally import OPERATOR, STRANGERS, CountedPublisher, Tallies
 from wire.codec import decode, decode_any, encode
@@ -29,8 +31,7 @@ STRANGERS_KEPT = 100
 Kind = Literal["answer", "alive", "gone", "question", "order"]
 
 
-@dataclass(frozen=True, slots=True)
-class Arrived:
+class Arrived(Struct, frozen=True, gc=False):
     """Something that came in: of which agent (or ``""``), and what."""
 
     kind: Kind

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import queue
-import threading
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import pytest
+from played_simulator import DEADLINE_S, KEYS, SETTINGS, ZERO, PlayedSimulator, Q, state, wait_for
 
+import agents.at_once
 import agents.retreat
 from agents.arm_model import ArmModel
 from agents.departure import Departure
 from agents.errors import AgentError, NotWelcome
-from agents.follower import Follower, FollowerSettings, run_follower
+from agents.follower import Follower, run_follower
 from agents.leader import LeaderSettings, bounded_pull, pull, rotate, run_leader
 from agents.reach import OPEN_M
 from agents.session import AgentSession, RunEnded
 from wire.codec import decode, decode_any, encode
 from wire.errors import Reason
-from wire.keys import Keys
 from wire.memory import Broker, MemoryQuestion
 from wire.messages import (
     Command,
@@ -37,84 +36,7 @@ from wire.messages import (
     Welcome,
 )
 
-DEADLINE_S = 10.0
-KEYS = Keys("test")
 HELLO = Hello("follower", "test", "a1", "panda", "", 1, "here")
-SETTINGS = FollowerSettings("test", "a1", "panda", "paper", {}, join_timeout_s=DEADLINE_S, state_timeout_s=0.02)
-Q: Vector = (0.0, -0.1, 0.0, -2.1, 0.0, 2.0, 0.785)
-ZERO: Vector = (0.0,) * 7
-
-
-class PlayedSimulator:
-    """The simulator's end of one agent's keys: welcomes it, sends what the test says, collects what comes back."""
-
-    def __init__(self, clock: Literal["lock-step", "real-time"], reply: Callable[[], Welcome | Refusal] | None = None):
-        self.broker = Broker()
-        self.play(clock, reply)
-
-    def play(
-        self,
-        clock: Literal["lock-step", "real-time"],
-        reply: Callable[[], Welcome | Refusal] | None = None,
-        strut: Vector = ZERO,
-    ) -> None:
-        """Be there, from now on."""
-        self.link = self.broker.link()
-        self.answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        points: dict[str, Vector] = {"front": (0.8, 0.0, 0.7)}
-        welcome = Welcome(
-            lease=3,
-            clock=clock,
-            control_period_ns=1_000_000,
-            points=points,
-            force_max_N=40.0,
-            carry_height_m=0.0,
-            strut=strut,
-        )
-        for keys in (KEYS.arm("a1"), KEYS.leader):
-            self.link.subscribe(keys.command, self.answers.put)
-            self.link.answer_queries(keys.hello, lambda question: self._answer(question, reply() if reply else welcome))
-        self.link.declare_alive(KEYS.sim_alive)
-        self.state = self.link.publisher(KEYS.arm("a1").state)
-        self.view = self.link.publisher(KEYS.leader.state)
-        self.ended: queue.SimpleQueue[str | Exception] = queue.SimpleQueue()
-
-    def _answer(self, question: MemoryQuestion, reply: Welcome | Refusal) -> None:
-        question.reply(encode(reply))
-
-    def start(self, agent: Callable[[], str]) -> None:
-        """Run an agent in a thread; how it ended arrives in ``ended``."""
-
-        def body() -> None:
-            try:
-                self.ended.put(agent())
-            except Exception as error:
-                self.ended.put(error)
-
-        threading.Thread(target=body, daemon=True).start()
-
-    def follow(self) -> None:
-        """Start the follower of arm a1 and wait until it listens."""
-        link = self.broker.link()
-        self.start(lambda: run_follower(link, SETTINGS))
-        wait_for(self.state.matched)
-
-    def command(self) -> Command:
-        return decode(self.answers.get(timeout=DEADLINE_S), Command)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    """Until the condition holds; fails after the deadline."""
-    waiter = threading.Event()
-    for _ in range(int(DEADLINE_S / 0.005)):
-        if condition():
-            return
-        waiter.wait(0.005)
-    raise AssertionError("the condition did not come true in time")
-
-
-def state(tick: int, arm: str = "a1", q: Vector = Q) -> bytes:
-    return encode(State(arm, tick, tick * 1_000_000, q, ZERO, ZERO, (0.0,) * 6, 0.03, (0.0,) * 6))
 
 
 def gravity() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -251,6 +173,7 @@ class Witness(PlayedSimulator):
     def __init__(self, clock: Literal["lock-step", "real-time"] = "lock-step", strut: Vector = ZERO) -> None:
         self.said: list[Hello | Leaving | Goodbye] = []
         self.departure = Departure()
+        self.settings = replace(SETTINGS, leave_s=0.002, reconnect_s=DEADLINE_S)
         self.broker = Broker()
         self.play(clock, strut=strut)
 
@@ -261,8 +184,8 @@ class Witness(PlayedSimulator):
         question.reply(encode(reply if isinstance(message, Hello) else message))
 
     def follow(self) -> None:
-        link, settings = self.broker.link(), replace(SETTINGS, leave_s=0.002, reconnect_s=DEADLINE_S)
-        self.start(lambda: run_follower(link, settings, self.departure))
+        link = self.broker.link()
+        self.start(lambda: run_follower(link, self.settings, self.departure))
         wait_for(self.state.matched)
 
     def tick(self, tick: int) -> Command:
@@ -282,6 +205,32 @@ def test_a_follower_that_is_told_to_leave_says_so_before_its_next_answer_and_ans
     assert [command.grip_m for command in commands[3:]] == [OPEN_M] * 4, "2 ms later its hand opens"
     simulator.state.put(encode(End("over", "enough")))
     assert simulator.ended.get(timeout=DEADLINE_S) == "enough", "the run may end meanwhile"
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_state_that_comes_with_the_notice_is_answered_by_the_retreat(
+    at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The simulator goes on as soon as it has the notice, before the follower has the reply: at which tick the retreat
+    begins must not depend on who is quicker, nor on which thread answers."""
+    monkeypatch.setattr(agents.at_once, "QUICK_STEPS", 2 if at_once else 1000)
+    monkeypatch.setattr(agents.at_once, "QUICK_NS", 10**12)
+
+    class Quick(Witness):
+        def _answer(self, question: MemoryQuestion, reply: Welcome | Refusal) -> None:
+            super()._answer(question, reply)
+            if isinstance(self.said[-1], Leaving):
+                self.state.put(state(5))
+
+    simulator = Quick()
+    simulator.settings = replace(simulator.settings, leave_s=0.0)
+    simulator.follow()
+    for tick in range(5):
+        assert simulator.tick(tick).grip_m == 0.0
+    assert simulator.departure.ask()
+    command = simulator.command()
+    assert (command.tick, command.grip_m) == (5, OPEN_M)
+    assert [simulator.tick(tick).grip_m for tick in range(6, 9)] == [OPEN_M] * 3
 
 
 def test_the_goodbye_is_the_answer_to_the_state_after_the_last(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,11 @@ FORBIDDEN = {
     "wire": ("agents", "sim_server", "deploy"),
 }
 # The one file that imports the library.
-ONLY_DOOR = {"zenoh": "wire/zenoh_link.py", "pinocchio": "agents/arm_model.py", "casadi": "agents/tracing.py"}
+ONLY_DOOR = {
+    "zenoh": "wire/zenoh_link.py",
+    "pinocchio": "agents/arm_model.py",
+    "llvmlite": "agents/machine_code.py",
+}
 # Who may go past the door, and why: an intruder is a hostile process, which would not use ours.
 PAST_THE_DOOR = {"zenoh": "deploy/chaos/"}
 # No more files than this import the library.

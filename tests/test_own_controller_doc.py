@@ -92,4 +92,4 @@ def test_a_gain_that_the_constructor_does_not_take_ends_the_run_before_it_begins
 def test_the_page_names_every_field(heading: str, cls: Any) -> None:
     (section,) = (part for part in PAGE.split("\n## ") if part.splitlines()[0].endswith(heading))
     told = set(re.findall(r"`(\w+)`", "\n".join(line for line in section.splitlines() if line.startswith("| `"))))
-    assert set(cls.__dataclass_fields__) <= told
+    assert set(cls.__annotations__) <= told

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from played_simulator import DEADLINE_S, PlayedSimulator, wait_for
 from processes import (
     HUNG,
     UNKNOWN_CONNECTION,
@@ -21,7 +22,6 @@ from processes import (
     settings,
     started,
 )
-from test_follower import DEADLINE_S, PlayedSimulator, wait_for
 
 from agents.errors import NotWelcome
 from agents.leader import LeaderSettings, run_leader
@@ -134,7 +134,7 @@ def succeed(cwd: Path, wait_s: float) -> Succession:
             start(arm, "follower", "--arm", arm, who=arm)
         run = Succession(folder, (0, ""), 0)
         first = lead("first")
-        sim.wait_until(lambda: run.events("joined"), "the first leader")
+        sim.wait_until(lambda: any(each["kind"] == "started" for each in read_events(folder)), "the first tick")
         with open_client(endpoint, store.credential("observer")) as observer:
             observer.subscribe(Keys(RUN).progress, news.append)
             early = lead("early")

@@ -38,5 +38,6 @@ class BetterController(PaperController):
 
     def step(self, sensed: Sensed, dt_s: float) -> Effort:
         effort = super().step(sensed, dt_s)
-        torque = yield_moment(effort.torque, self._law.inputs["J"][3:], self._torque_max, self._wrist)
+        J_w = self._law.outputs[3].reshape(3, -1)
+        torque = yield_moment(effort.torque, J_w, self._torque_max, self._wrist)
         return Effort(torque, effort.base_force, effort.stiffness)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from agents.arm_model import ArmModel
@@ -13,8 +13,7 @@ from agents.arm_model import ArmModel
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Sensed:
+class Sensed(Struct, frozen=True, gc=False):
     """What one arm feels at one instant."""
 
     q: Array
@@ -27,8 +26,7 @@ class Sensed:
     """Wrist wrench [force; torque], (6,) N and N m: the arm on the hand, in the wrist frame."""
 
 
-@dataclass(frozen=True, slots=True)
-class Effort:
+class Effort(Struct, frozen=True, gc=False):
     """What a controller wants."""
 
     torque: Array

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from agents.arm_model import ArmModel
 from agents.controllers.interface import Effort, Sensed
+from agents.equations.chain import Chain, chain_terms, inverse_of_inertia
 from agents.equations.law import base_force, joint_torque
 from agents.equations.null_space import null_projection, null_torque_projected
 from agents.equations.stiffness import DEG, adaptive_stiffness, projected_error_rate, projected_joint_error
@@ -125,6 +126,19 @@ def paper_law(
     return joint_torque(tau_task, tau_null, C, qd, g), np.array([*F_m, 0.0]), K
 
 
+def law_of_the_arm(
+    chain: Chain, gains: PaperGains, q: Array, qd: Array, p_held: Array, up_E: Array, ahead_held: Array
+) -> tuple[Array, ...]:
+    """:func:`paper_law` with the arm's terms worked out beside it, for joint positions q, (n,) rad; and for those who
+    build on it the angular rows of the hand's Jacobian, (3 n,), and the hand's pose p_BE, (3,), and R_BE, (9,)."""
+    now = chain_terms(chain, q, qd)
+    torque, force, K = paper_law(
+        gains, qd=qd, M_inv=inverse_of_inertia(now.M), C=now.C, g=now.g, J=now.J, Jdot=now.Jdot, p_BE=now.p_BE,
+        R_BE=now.R_BE, p_held=p_held, up_E=up_E, ahead_held=ahead_held,
+    )  # fmt: skip
+    return torque, force, K, now.J[3:].ravel(), now.p_BE, now.R_BE.ravel()
+
+
 STRAIGHT_DOWN = (0.0, 0.0, -1.0)
 """The vertical, seen from a hand that points straight down."""
 
@@ -133,7 +147,7 @@ class PaperController:
     """Equations 5 to 16: holds the hand's height, roll and pitch where they were at the first step (or where it is told
     to, ours), follows in the plane, stiffens with the error, drives the base after the hand.
 
-    Runs :func:`paper_law` traced (agents/tracing.py): the same equations, evaluated in one call.
+    Runs :func:`law_of_the_arm` traced (agents/tracing.py): the same equations, and the arm's, as machine code.
 
     Raises:
         pydantic.ValidationError: a gain is unknown or not a number in its range.
@@ -143,16 +157,15 @@ class PaperController:
     gains_model: type[PaperGains] = PaperGains
 
     def __init__(self, arm: ArmModel, **gains: object) -> None:
-        self._arm, n = arm, arm.joints
+        n = arm.joints
         self.gains = self.gains_model.model_validate(gains)
         if len(self.gains.null_stiffness_Nm_rad) != n:
             raise ControllerError(
                 f"null_stiffness_Nm_rad: got {len(self.gains.null_stiffness_Nm_rad)} numbers, "
                 f"expected {n}, one per joint of arm model {arm.name}"
             )
-        shapes = {"qd": (n,), "M_inv": (n, n), "C": (n, n), "g": (n,), "J": (6, n), "Jdot": (6, n)}
-        poses = {"p_BE": (3,), "R_BE": (3, 3), "p_held": (3,), "up_E": (3,), "ahead_held": (3,)}
-        self._law = Traced(partial(paper_law, self.gains), shapes | poses, symmetric=("M_inv",))
+        shapes = {"q": (n,), "qd": (n,), "p_held": (3,), "up_E": (3,), "ahead_held": (3,)}
+        self._law = Traced(partial(law_of_the_arm, arm.chain, self.gains), shapes)
         self._holds = False
         self._height_m: float | None = None
 
@@ -164,15 +177,19 @@ class PaperController:
     def step(self, sensed: Sensed, dt_s: float) -> Effort:
         """The law remembers the pose at the first step and integrates nothing: ``dt_s`` is not used."""
         law = self._law
-        terms = law.inputs
-        self._arm.fill(sensed.q, sensed.qd, terms)
-        terms["qd"][:] = sensed.qd
+        inputs = law.inputs
+        inputs["q"][:], inputs["qd"][:] = sensed.q, sensed.qd
         if not self._holds:
-            terms["p_held"][:] = terms["p_BE"]
-            terms["up_E"][:] = terms["R_BE"][2]
-            terms["ahead_held"][:] = terms["R_BE"][:, 0]
-            if self._height_m is not None:
-                terms["p_held"][2], terms["up_E"][:] = self._height_m, STRAIGHT_DOWN
-            self._holds = True
+            law()
+            self._hold()
         law()
-        return Effort(*(each.copy() for each in law.outputs))
+        torque, base_force, stiffness, *_ = law.outputs
+        return Effort(torque.copy(), base_force.copy(), stiffness.copy())
+
+    def _hold(self) -> None:
+        """Keep the pose of the hand as it is, or what was told of it."""
+        inputs, (p_BE, R_BE) = self._law.inputs, self._law.outputs[-2:]
+        inputs["p_held"][:], inputs["up_E"][:], inputs["ahead_held"][:] = p_BE, R_BE[6:], R_BE[::3]
+        if self._height_m is not None:
+            inputs["p_held"][2], inputs["up_E"][:] = self._height_m, STRAIGHT_DOWN
+        self._holds = True
