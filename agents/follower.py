@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 
@@ -14,7 +13,9 @@ from agents.arm_model import ArmModel
 from agents.at_once import AtOnce
 from agents.controllers import make_controller
 from agents.controllers.interface import Sensed
+from agents.departure import Departure
 from agents.reach import Reach
+from agents.retreat import Retreat
 from agents.safety import CheckedEffort, SafeController, hold_effort
 from agents.session import AgentSession, RunEnded, SimulatorGone, here
 from wire.errors import Reason, Refused
@@ -36,6 +37,8 @@ class FollowerSettings:
     gains: Mapping[str, object]
     handover_s: float = 1.0
     """Time over which the torque passes from what the arm carried at take-over to what the law wants."""
+    leave_s: float = 2.0
+    """Time over which the arm lets its share down when it is to leave in order."""
     join_timeout_s: float = 30.0
     state_timeout_s: float = 0.1
     """Real time only: wall time without a state after which the follower holds."""
@@ -53,6 +56,7 @@ class Follower:
         self._controller = SafeController(settings.controller, law, self.arm, settings.handover_s)
         self._last: State | None = None
         self._reach: Reach | None = None
+        self._retreat: Retreat | None = None
         self._grip_m = 0.0
         """What was wanted of the fingers last."""
 
@@ -62,6 +66,21 @@ class Follower:
             self._controller.carry_at(welcome.carry_height_m)
         if any(welcome.strut):
             self._reach = Reach(self.arm, welcome.strut)
+
+    def retreat(self) -> None:
+        """Told to leave: put the share down, if there is one, and drive clear, from the next state on."""
+        self._retreat = Retreat(self.arm, self.settings.leave_s, holds=self._reach is None)
+        self._reach = None
+
+    @property
+    def is_retreating(self) -> bool:
+        """Whether it has been told to leave."""
+        return self._retreat is not None
+
+    @property
+    def has_retreated(self) -> bool:
+        """Whether it stands clear."""
+        return self._retreat is not None and self._retreat.is_over
 
     def hello(self) -> Hello:
         """This follower's greeting."""
@@ -85,13 +104,19 @@ class Follower:
         self._last = state
         start = time.perf_counter_ns()
         q, qd, self._grip_m = np.array(state.q), np.array(state.qd), 0.0
-        if self._reach is not None:
-            effort, self._grip_m = self._reach.step(q, qd, state.grip_m, state.odometry, dt_s)
-            if self._reach.holds:
+
+        def law() -> CheckedEffort:
+            return self._controller.step(Sensed(q, qd, np.array(state.tau), np.array(state.wrench)), dt_s)
+
+        if self._retreat is not None:
+            effort, self._grip_m = self._retreat.step(law, q, qd, state.grip_m, state.odometry, dt_s)
+        elif (reach := self._reach) is not None:
+            effort, self._grip_m = reach.step(q, qd, state.grip_m, state.odometry, dt_s)
+            if reach.holds:
                 log.info("arm %s: holds its strut, carries", self.settings.arm)
                 self._reach = None
         else:
-            effort = self._controller.step(Sensed(q, qd, np.array(state.tau), np.array(state.wrench)), dt_s)
+            effort = law()
         return self._command(state.tick, lease, effort, time.perf_counter_ns() - start)
 
     def hold(self, lease: int) -> Command | None:
@@ -113,8 +138,11 @@ class Follower:
         )
 
 
-def run_follower(link: Link, settings: FollowerSettings) -> str:
-    """Join, answer every state until the run ends, and return why it ended.
+def run_follower(link: Link, settings: FollowerSettings, departure: Departure | None = None) -> str:
+    """Join, answer every state until the run ends or this follower has left, and return why it ended.
+
+    Asked for a ``departure``, it says that it is leaving, puts down what it carries, drives clear, and says goodbye
+    instead of answering one more state. Interrupted, it says goodbye at once.
 
     In lock-step, time stands still while no state comes, so there is nothing to hold. In real time the arm goes on
     falling: after ``state_timeout_s`` without a state the follower sends one hold command.
@@ -123,14 +151,17 @@ def run_follower(link: Link, settings: FollowerSettings) -> str:
         NotWelcome, AgentError: not let in, nobody there, or the simulator is gone.
         ControllerError: the law is unknown, its gains are wrong, or it failed.
     """
-    follower = Follower(settings)
+    follower, departure = Follower(settings), departure or Departure()
     keys = Keys(settings.run)
     session = AgentSession(link, keys.arm(settings.arm), keys.sim_alive, follower.hello())
-    welcome = session.join(settings.join_timeout_s)
+    departure.heard_by(session.wake)
     try:
+        welcome = session.join(settings.join_timeout_s)
         while True:
             try:
-                _carry(session, follower, welcome)
+                _carry(session, follower, welcome, departure)
+                session.leave()
+                return "left in order"
             except SimulatorGone:
                 if not settings.reconnect_s:
                     raise
@@ -139,12 +170,13 @@ def run_follower(link: Link, settings: FollowerSettings) -> str:
     except RunEnded as ended:
         return str(ended)
     except KeyboardInterrupt:
-        session.leave()
+        if session.lease:
+            session.leave()
         return "interrupted"
 
 
-def _carry(session: AgentSession, follower: Follower, welcome: Welcome) -> NoReturn:
-    """Answer every state."""
+def _carry(session: AgentSession, follower: Follower, welcome: Welcome, departure: Departure) -> None:
+    """Answer every state until the follower has left all that it carried."""
     settings = follower.settings
     log.info("arm %s: joined, %s clock, period %d ns", settings.arm, welcome.clock, welcome.control_period_ns)
     follower.begin(welcome)
@@ -155,6 +187,13 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome) -> NoRet
     holding, at_once = False, AtOnce(session, follower, period_s)
     while True:
         state = receive(timeout_s)
+        if departure.wanted and not follower.is_retreating:
+            session.answer_at_once(None)
+            follower.retreat()
+            log.info("arm %s: leaves", settings.arm)
+            session.say_leaving()  # last: whoever ordered it waits for that, and then sends the next state
+            if state is None:
+                continue
         if state is None:
             hold = follower.hold(session.lease) if in_real_time and not holding else None
             if hold is not None:
@@ -170,7 +209,9 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome) -> NoRet
             session.refuse(refusal)
             continue
         holding = False
+        if follower.has_retreated:  # the goodbye is the answer to this state: between which ticks it comes is certain
+            return
         command = follower.answer(state, session.lease, period_s)
-        if not in_real_time:
+        if not in_real_time and not follower.is_retreating:
             at_once.note(command.step_ns)
         session.send(command)

@@ -17,13 +17,15 @@ from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.keys import ArmKeys
 from wire.link import Link
-from wire.messages import Command, End, Goodbye, Hello, LeaderForce, LeaderView, Refusal, State, Welcome
+from wire.messages import Command, End, Goodbye, Hello, LeaderForce, LeaderView, Leaving, Refusal, State, Welcome
 
 log = logging.getLogger("palanquin.agent")
 
 POLL_S = 0.01
 RETRY_S = 0.1
 """Between two greetings that nobody answered."""
+WOKEN = b""
+"""In the inbox instead of a message: somebody outside wants something of this agent."""
 IN_LINE_S = 0.2
 """Between two greetings while another instance is in."""
 TIME_TO_GREET_S = 5.0
@@ -57,7 +59,7 @@ class AgentSession:
         self._inbox: queue.SimpleQueue[bytes | Exception | None] = queue.SimpleQueue()
         self._at_once: Callable[[bytes], bool] | None = None
         self._simulator_is_there = threading.Event()
-        self._has_token = False
+        self._has_token = self._is_in = False
         self._publisher = link.publisher(keys.command)
         self._refused: Counter[str] = Counter()
         self._early = 0
@@ -72,6 +74,13 @@ class AgentSession:
         else:
             self._simulator_is_there.clear()
             self._inbox.put(None)
+
+    def wake(self) -> bool:
+        """Have :meth:`receive` come back; False if no simulator has let this agent in. From any thread, or a signal
+        handler."""
+        if self._is_in:
+            self._inbox.put(WOKEN)
+        return self._is_in
 
     def _take(self, payload: bytes) -> None:
         if self._at_once is None or not self._at_once(payload):
@@ -142,6 +151,7 @@ class AgentSession:
                 raise NotWelcome(f"{self._hello.name}: the simulator refused this agent: {message.text}")
             welcome = decode(reply, Welcome)
             self.lease, self._early = welcome.lease, self._inbox.qsize()
+            self._is_in = True
             if not self._has_token:  # else the transport has declared it again by itself
                 self._link.declare_alive(self._keys.alive)
                 self._has_token = True
@@ -163,7 +173,7 @@ class AgentSession:
                 self.receive(0.0)
 
     def receive(self, timeout_s: float) -> State | LeaderView | None:
-        """The next message of the simulator, or None after ``timeout_s`` without one.
+        """The next message of the simulator, or None after ``timeout_s`` without one, or after :meth:`wake`.
 
         What does not fit is counted, reported in the log once per kind, and skipped.
 
@@ -177,10 +187,13 @@ class AgentSession:
             payload = self._inbox.get(timeout=timeout_s)
         except queue.Empty:
             return None
+        if payload == WOKEN:
+            return None
         early, self._early = self._early > 0, max(0, self._early - 1)
         if isinstance(payload, Exception):
             raise payload
         if payload is None:
+            self._is_in = False
             raise SimulatorGone(f"{self._hello.name}: the simulator is gone")
         try:
             message = decode_any(payload)
@@ -213,6 +226,10 @@ class AgentSession:
     def send(self, message: Command | LeaderForce) -> None:
         """Publish the answer to a tick."""
         self._publisher.put(encode(message))
+
+    def say_leaving(self, timeout_s: float = 2.0) -> None:
+        """Say that this agent puts down what it carries, answering on, and will then go."""
+        self._link.query(self._keys.hello, encode(Leaving(self._hello.name, self.lease)), timeout_s)
 
     def leave(self, timeout_s: float = 2.0) -> None:
         """Say goodbye; a simulator that is gone already is no error."""

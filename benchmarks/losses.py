@@ -3,8 +3,8 @@
 ``detection``: how soon the loss of one of two followers is noticed, N times each (3), in ticks and in wall time, for
 every way in which it can be lost; nothing is scheduled, the simulator is told nothing. ``rounds``: one agent killed and
 started N times (50) in one run, and what the simulator holds in memory, descriptors and threads meanwhile, beside a run
-in which it is only stopped for 10 ms. ``repeats``: ``dropout`` and ``rejoin`` N times (3), and their traces' sums.
-Without an argument all of it, about a quarter of an hour on two cores.
+in which it is only stopped for 10 ms. ``repeats``: ``dropout``, ``rejoin``, ``join`` and ``relay`` N times (3), and
+their traces' sums. Without an argument all of it, about half an hour on two cores.
 """
 
 from __future__ import annotations
@@ -348,7 +348,7 @@ def rounds(console: Console, count: int) -> None:
 def repeats(console: Console, times: int) -> None:
     """The same scenario over and over: the same bytes?"""
     table = Table("scenario", "run", "status", "wall s", "sha256 of trace.parquet", title="real kills, the same bytes")
-    for scenario in ("dropout", "rejoin"):
+    for scenario in ("dropout", "rejoin", "join", "relay"):
         for k in range(1, times + 1):
             with tempfile.TemporaryDirectory(prefix="palanquin-") as cwd:
                 start = time.monotonic()
@@ -358,6 +358,7 @@ def repeats(console: Console, times: int) -> None:
                 digest = hashlib.sha256((Path(cwd) / "run" / "trace.parquet").read_bytes()).hexdigest()
             wall_s = f"{time.monotonic() - start:.0f}"
             table.add_row(scenario, str(k), str(ended.returncode), wall_s, digest)
+            print(f"{scenario} {k}: {wall_s} s, {digest}", file=sys.stderr)
     console.print(table)
 
 

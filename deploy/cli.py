@@ -153,6 +153,9 @@ def follower(
     arm_model: Annotated[str, typer.Option(help="The arm's description.")] = "panda",
     controller: Annotated[str, typer.Option(help="A law's name, or module:Class for your own.")] = "paper",
     handover_s: Annotated[float, typer.Option(min=0.0, help="Time over which the law takes the load over.")] = 1.0,
+    leave_s: Annotated[
+        float, typer.Option(min=0.0, help="Time over which it lets its share down when SIGTERM tells it to leave.")
+    ] = 2.0,
     set_: Settings = None,
     walls: Walls = False,
     credential: OwnCredential = None,
@@ -160,6 +163,7 @@ def follower(
     with_parent: WithParent = False,
 ) -> None:
     """Start one follower: the control process of one arm."""
+    from agents.departure import Departure
     from agents.follower import FollowerSettings, run_follower
     from deploy.links import own_credential
     from wire.keys import Keys
@@ -171,13 +175,14 @@ def follower(
     if walls:  # all of ours is loaded, nothing of the user's
         _raise_walls(connect)
     gains = tables(set_ or [])
-    settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s, reconnect_s=reconnect_s)
+    settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s, leave_s, reconnect_s=reconnect_s)
     Keys(run).arm(arm)
     if with_parent:
         end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
-    leave_on_signals()
+    departure = Departure()
+    leave_on_signals(departure.ask)
     with open_client(connect, own) as link:
-        print(f"{arm}: {run_follower(link, settings)}")
+        print(f"{arm}: {run_follower(link, settings, departure)}")
 
 
 @app.command()

@@ -1,4 +1,5 @@
-"""Deeds done to processes for a scenario's events: kill, stop, continue, start, leave; each confirmed by the kernel."""
+"""Deeds done to processes for a scenario's events: kill, stop, continue and start, each confirmed by the kernel; and
+leave, which takes an agent simulated time and is therefore only asked for."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from wire.link import Link
 from wire.messages import Deed, Done
 
 CONFIRM_S = 15.0
-"""Time that the kernel, or an agent that is told to leave, gets."""
+"""Time that the kernel gets."""
 POLL_S = 0.002
 
 Find = Callable[[str], "subprocess.Popen[bytes] | None"]
@@ -69,6 +70,8 @@ class Doer:
             "leave": signal.SIGTERM,
         }[deed.verb]
         process.send_signal(number)
+        if deed.verb == "leave":
+            return ""
         if deed.verb in ("stop", "continue"):
             return _changed(process.pid, os.WSTOPPED if deed.verb == "stop" else os.WCONTINUED)
         try:

@@ -69,10 +69,16 @@ def stop_on_signals(stop: Callable[[], None]) -> None:
         signal.signal(number, lambda *_: stop())
 
 
-def leave_on_signals() -> None:
-    """Let an agent that is told to go say goodbye: it takes KeyboardInterrupt for that."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+def leave_on_signals(leave: Callable[[], bool] = lambda: False) -> None:
+    """Let an agent that is told to go do so: Ctrl-C is KeyboardInterrupt, at which it says goodbye at once; SIGTERM
+    asks it to ``leave`` in order, and is the same as Ctrl-C if that is False."""
+
+    def on_term(number: int, frame: FrameType | None) -> None:
+        if not leave():
+            signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, on_term)
 
 
 def stop_or_exit(stop: Callable[[], None]) -> None:

@@ -244,6 +244,7 @@ def follower_arguments(scenario: Scenario) -> list[str]:
     """What a follower is told: its arm's model and its law. Nothing of the load, the goal, or how many there are."""
     team = scenario.team
     arguments = ["--arm-model", team.arm, "--controller", team.controller, "--handover-s", repr(team.handover_s)]
+    arguments += ["--leave-s", repr(team.leave_s)]
     for key, value in team.gains.items():
         arguments += ["--set", f"{key}={toml_value(value)}"]
     return arguments

@@ -7,21 +7,31 @@ anew as well, as after any start of its process.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sim_server.checkpoint_file import FOLDER, Checkpoint, last_checkpoint, versions, write_checkpoint
+from sim_server.checkpoint_file import (
+    FOLDER,
+    Checkpoint,
+    checkpoint_path,
+    last_checkpoint,
+    versions,
+    write_checkpoint,
+)
+from sim_server.disk import Disk
 from sim_server.happenings import Happenings
 from sim_server.lockstep import Ticker
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import LEADER, Reception
 from sim_server.run_folder import RunFolder
 from sim_server.scenario_files import NamedScenario
+from sim_server.snapshot import pack
 from sim_server.trace import TraceWriter
 from sim_server.trace_rows import Segment
 
@@ -57,10 +67,11 @@ class Checkpoints:
         run: its name.
         named: its scenario.
         owners: of its state.
+        disk: writes them.
     """
 
-    def __init__(self, folder: RunFolder, run: str, named: NamedScenario, owners: Owners) -> None:
-        self._folder, self._owners = folder, owners
+    def __init__(self, folder: RunFolder, run: str, named: NamedScenario, owners: Owners, disk: Disk) -> None:
+        self._folder, self._owners, self._disk = folder, owners, disk
         scenario = named.scenario
         self._every = round(scenario.record.checkpoint_s * 1000 / scenario.clock.control_period_ms)
         if scenario.record.checkpoint_s:
@@ -74,6 +85,8 @@ class Checkpoints:
         }
         self.story = Story()
         self._took_ns: list[int] = []
+        self._bytes = 0
+        """Size of the last one."""
         self._last: Path | None = None
 
     def is_due(self, tick: int) -> bool:
@@ -81,20 +94,23 @@ class Checkpoints:
         return self._every > 0 and tick % self._every == 0
 
     def write(self, trace: TraceWriter, wall_s: float) -> None:
-        """Put a checkpoint of this moment, between two ticks, in the place of the last one."""
+        """Have a checkpoint of this moment, between two ticks, put in the place of the last one, after the rows of the
+        trace that belong to it.
+
+        Raises:
+            DiskFailed: rows or a checkpoint before this could not be written.
+        """
         start = time.perf_counter_ns()
         if self._last is None:
             (self._folder.path / FOLDER).mkdir(exist_ok=True)
         owners, story = self._owners, self.story
-        self._last = write_checkpoint(
-            self._folder.path,
-            owners.plant.tick,
+        body = pack(
             {
                 **self._about,
                 "started_at": story.started_at.isoformat(),
                 "wall_s": wall_s,
                 "resumed": story.resumed,
-                "trace": [[list(segment.arms), segment.rows] for segment in trace.flush()],
+                "trace": [[list(segment.arms), segment.rows] for segment in trace.segments()],
                 "timings": owners.clock.timings.state(),
                 "events_bytes": self._folder.events_bytes(),
                 "plant": owners.plant.state(),
@@ -102,9 +118,13 @@ class Checkpoints:
                 "tallies": owners.reception.tallies.state(),
                 "punctuality": owners.clock.punctuality.state(),
                 "happenings": owners.happenings.state(),
-            },
-            self._last,
+            }
         )
+        # Last of all, and close together: from here on another thread wants a share of this process.
+        trace.flush()
+        file = checkpoint_path(self._folder.path, owners.plant.tick)
+        self._disk.do(partial(write_checkpoint, file, body, self._last))
+        self._last, self._bytes = file, len(body)
         self._took_ns.append(time.perf_counter_ns() - start)
 
     def restore(self, checkpoint: Checkpoint) -> tuple[Segment, ...]:
@@ -133,10 +153,16 @@ class Checkpoints:
             return tuple(Segment(tuple(map(str, arms)), int(rows)) for arms, rows in content["trace"])
 
     def describe(self) -> Mapping[str, Any]:
-        """For run.json: how many, and what they cost the ticks before which they were written."""
-        took_ms = np.array(self._took_ns or [0]) / 1e6
+        """For run.json: how many, what they cost the ticks before which they were taken, and what each thing that was
+        written (rows of the trace, and checkpoints) took the thread that writes."""
         return {
             "written": len(self._took_ns),
-            "bytes": self._last.stat().st_size if self._last else 0,
-            "ms": {"p50": float(np.percentile(took_ms, 50)), "max": float(took_ms.max())},
+            "bytes": self._bytes,
+            "ms": _spread(self._took_ns),
+            "writing_ms": _spread(self._disk.took_ns),
         }
+
+
+def _spread(took_ns: Sequence[int]) -> Mapping[str, float]:
+    took_ms = np.array(took_ns or [0]) / 1e6
+    return {"p50": float(np.percentile(took_ms, 50)), "max": float(took_ms.max())}

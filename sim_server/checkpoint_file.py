@@ -21,11 +21,11 @@ from sim_server.errors import SimError
 from sim_server.run_folder import RUN, read_run
 from sim_server.scenario import Scenario
 from sim_server.scenario_files import NamedScenario
-from sim_server.snapshot import Snapshot, pack, unpack
+from sim_server.snapshot import Snapshot, unpack
 from wire.errors import Refused
 
 FOLDER, STATE = "checkpoint", ".state"
-VERSION = 1
+VERSION = 2
 """Of what is in it; any change of a ``state()`` raises it."""
 HEAD = "palanquin checkpoint"
 MUST_BE_EQUAL = ("palanquin", "mujoco")
@@ -59,16 +59,19 @@ def versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in MUST_BE_EQUAL}
 
 
-def write_checkpoint(folder: Path, tick: int, content: Snapshot, before: Path | None) -> Path:
-    """Put a checkpoint in the place of the one ``before``; its file. A process that is killed leaves one or both."""
-    body = pack(content)
-    file = folder / FOLDER / f"{tick:010}{STATE}"
+def checkpoint_path(folder: Path, tick: int) -> Path:
+    """The file of a checkpoint in a run folder."""
+    return folder / FOLDER / f"{tick:010}{STATE}"
+
+
+def write_checkpoint(file: Path, body: bytes, before: Path | None) -> None:
+    """Put a checkpoint, a packed snapshot, in the place of the one ``before``. A process that is killed leaves one or
+    both."""
     part = file.with_suffix(".part")
     part.write_bytes(f"{HEAD} {VERSION} {hashlib.sha256(body).hexdigest()}\n".encode() + body)
     os.replace(part, file)
     if before is not None and before != file:
         before.unlink(missing_ok=True)
-    return file
 
 
 def last_checkpoint(folder: Path) -> Path | None:

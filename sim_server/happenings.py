@@ -1,43 +1,25 @@
-"""A scenario's events, each at its tick: ordered, done, and the clock waits until the deed is seen.
-
-Processes are the launcher's: the simulator asks it on ``truth/deeds`` and hears back on ``operator/order``. What
-counts is seen here, though: a killed agent's sign of life is gone, a started one has greeted and is matched.
+"""A scenario's events and the operator's wishes, each at its tick: deeds done to processes, hands that fail, robots
+that come. Every event is reported as ordered, and as seen to take effect.
 """
 
 from __future__ import annotations
 
-import queue
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
-from sim_server.errors import SimError
 from sim_server.grasping import Closing
 from sim_server.lockstep import Ticker
 from sim_server.newcomers import CannotCome
+from sim_server.process_deeds import ProcessDeeds, Undone, undone
 from sim_server.reception import Reception, Report
-from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Verb, in_order
+from sim_server.scenario_events import AnyEvent, FailGrasp, Join, in_order
 from sim_server.snapshot import Snapshot, SnapshotError
 from sim_server.world_builder import NotBuilt
-from wire.codec import encode
-from wire.lifecycle import Phase
 from wire.link import Publisher
-from wire.messages import Deed
-
-DEED_S = 20.0
-"""Wall time that a deed may take until it is seen; a start has the scenario's start timeout."""
-NOBODY_S = 3.0
-"""Wall time in which the launcher must be listening: it is there before the first tick."""
-
 
 LEAD_S = 2.5
 """Simulated time before a newcomer's tick at which its world is begun and its agent started."""
-
-
-class Undone(SimError):
-    """A deed that the scenario wants was not done, so what comes after would not be the scenario's run."""
-
-    exit_status = 3
 
 
 class Hands(Protocol):
@@ -118,10 +100,10 @@ class Happenings:
         """Newcomers that are prepared for, each with the number of its deed, or 0."""
         self._due = in_order(events, period_ms)
         self._reception, self._clock, self._plant = reception, clock, plant
-        self._publisher, self._report = publisher, report
+        self._report = report
+        self._deeds = ProcessDeeds(reception, clock, publisher, report, start_s=start_s, waits=waits)
         self._period_ms, self._start_s = period_ms, start_s
         self._slips: list[tuple[int, str]] = []
-        self._number = 0
 
     def before(self, tick: int) -> None:
         """Do what is due before this tick. Raises :class:`Undone`, and :class:`sim_server.lockstep.Stopped`."""
@@ -131,6 +113,7 @@ class Happenings:
         while hands.grasped:
             closed = hands.grasped.pop(0)
             self._report("grasped", agent=closed.arm, closed_at_tick=closed.tick, force_max_N=closed.force_max_N)
+        self._deeds.look()
         self._take_orders(tick)
         self._prepare(tick)
         self._newcomers.advance()
@@ -150,13 +133,12 @@ class Happenings:
             elif isinstance(event, FailGrasp):
                 self._report("ordered", event=event.kind, agent=event.arm)
                 if not hands.holds(event.arm):
-                    raise Undone(_sentence(event, "its hand holds nothing"))
+                    raise undone(event, "its hand holds nothing")
                 self._plant.loosen(event.arm, event.force_N)
                 self._slips = sorted([*self._slips, (tick + round(event.for_s * 1000 / self._period_ms), event.arm)])
                 self._report("seen", event=event.kind, agent=event.arm, effect="the hand holds badly")
             else:
-                self._report("ordered", event=event.kind, agent=event.agent)
-                self._report("seen", event=event.kind, agent=event.agent, effect=self._do(event))
+                self._deeds.do(event)
 
     def _take_orders(self, tick: int) -> None:
         """Robots that the operator wants and nobody foresaw."""
@@ -192,7 +174,7 @@ class Happenings:
                 return
             if isinstance(event, Join) and event.arm not in self._prepared:
                 self._newcomers.prepare(event.arm, event.strut - 1)
-                self._prepared[event.arm] = self._order(event.arm, "start") if self._publisher.matched() else 0
+                self._prepared[event.arm] = self._deeds.order(event.arm, "start") if self._deeds.somebody_listens else 0
 
     def _to_come(self) -> list[Join]:
         """All robots that are still to come, foreseen or not."""
@@ -224,7 +206,7 @@ class Happenings:
             return
         agent = self._reception.agents[event.arm]
         if self._waits and event.arm not in self._unforeseen:  # what nobody foresaw does not hold the others up
-            self._wait(lambda: agent.is_in and agent.alive, event, "it has not joined", self._start_s)
+            self._deeds.wait(lambda: agent.is_in and agent.alive, event, "it has not joined", self._start_s)
         effect = f"it stands outside, by strut {event.strut}"
         self._report("seen", event=event.kind, agent=event.arm, effect=effect, pause_ms=1e3 * pause_s)
 
@@ -232,7 +214,7 @@ class Happenings:
         """It does not come: a run that did not foresee it goes on. Raises :class:`Undone` if the scenario wants it."""
         self._newcomers.cancel(event.arm, why)
         if event.arm not in self._unforeseen:
-            raise Undone(_sentence(event, why))
+            raise undone(event, why)
         self._report("refused_order", event=event.kind, agent=event.arm, strut=event.strut, text=why)
 
     def _await_its_process(self, event: Join) -> None:
@@ -241,7 +223,9 @@ class Happenings:
         if not number:
             return
         try:
-            self._wait(lambda: number in self._clock.done, event, "the launcher has not reported it", self._start_s)
+            self._deeds.wait(
+                lambda: number in self._clock.done, event, "the launcher has not reported it", self._start_s
+            )
         except Undone:
             raise CannotCome(f"the launcher has not reported its start within {self._start_s:g} s") from None
         if self._clock.done[number]:
@@ -249,7 +233,7 @@ class Happenings:
 
     def state(self) -> Snapshot:
         """How many of the scenario's events are still to come, the robots that somebody wants, those that are late, the
-        hands that will slip off, and the number of the last deed."""
+        hands that will slip off, and the deeds."""
         wanted = [(tick, event) for tick, event in self._due if isinstance(event, Join) and self._is_unforeseen(event)]
         return {
             "due": len(self._due) - len(wanted),
@@ -257,7 +241,7 @@ class Happenings:
             "late": [[event.arm, event.strut, self._is_unforeseen(event)] for _, event in self._late],
             "orders": list(self._clock.wanted),
             "slips": [list(slip) for slip in self._slips],
-            "number": self._number,
+            "deeds": self._deeds.state(),
         }
 
     def restore(self, saved: Snapshot) -> None:
@@ -274,70 +258,7 @@ class Happenings:
                 self._unforeseen.discard(event.arm)
         self._clock.wanted[:] = map(int, saved["orders"])
         self._slips = [(int(tick), str(arm)) for tick, arm in saved["slips"]]
-        self._number = int(saved["number"])
+        self._deeds.restore(saved["deeds"])
 
     def _is_unforeseen(self, event: Join) -> bool:
         return event.arm in self._unforeseen
-
-    def _do(self, event: ProcessEvent) -> str:
-        """Have it done; what was seen of it."""
-        agent, name = self._reception.agents[event.agent], event.agent
-        if event.kind in ("kill", "start"):
-            self._clock.thaw(name)
-        seconds = self._start_s if event.kind == "start" else DEED_S
-        self._ask(event, seconds)
-        if event.kind == "kill":
-            self._wait(lambda: not agent.alive, event, "its sign of life is still there", seconds)
-            return "its sign of life is gone"
-        if event.kind == "leave":
-            self._wait(lambda: agent.link.phase is Phase.LEFT, event, f"it is still {agent.link.phase}", seconds)
-            self._wait(lambda: not agent.alive, event, "its sign of life is still there", seconds)
-            return "it said goodbye"
-        if event.kind == "start":
-            if agent.is_gone:
-                raise Undone(_sentence(event, "its robot has been taken away"))
-            self._wait(lambda: agent.is_in and agent.alive, event, "it has not joined", seconds)
-            return f"it has joined with lease {agent.link.lease}"
-        if event.kind == "stop":
-            self._clock.freeze(name)
-            return "the kernel has stopped it"
-        self._clock.thaw(name)
-        if agent.link.phase is Phase.LOST:
-            return "it runs again, but was lost meanwhile: its lease is worth nothing"
-        return "it runs again"
-
-    def _ask(self, event: ProcessEvent, seconds: float) -> None:
-        self._wait(
-            self._publisher.matched,
-            event,
-            "nobody is there to do it. Processes are the launcher's: use `palanquin run`, or agents started by hand "
-            "without such events",
-            NOBODY_S,
-        )
-        number = self._order(event.agent, event.kind)
-        done = self._clock.done
-        self._wait(lambda: number in done, event, "the launcher has not reported it", seconds)
-        if done[number]:
-            raise Undone(_sentence(event, done[number]))
-
-    def _order(self, agent: str, verb: Verb) -> int:
-        """Ask the launcher for a deed; its number."""
-        self._number += 1
-        self._publisher.put(encode(Deed(self._number, verb, agent)))
-        return self._number
-
-    def _wait(self, seen: Callable[[], bool], event: ProcessEvent | Join, else_: str, seconds: float) -> None:
-        """Take in what comes until the deed is seen."""
-        deadline = time.monotonic() + seconds
-        while not seen():
-            if time.monotonic() > deadline:
-                raise Undone(_sentence(event, f"{else_} (waited {seconds:g} s)"))
-            try:
-                self._clock.take(self._reception.inbox.get(timeout=0.005))
-            except queue.Empty:
-                self._clock.admit()
-
-
-def _sentence(event: AnyEvent, problem: str) -> str:
-    agent = event.agent if isinstance(event, ProcessEvent) else event.arm
-    return f"event {event.kind!r} of {agent} at {event.at_s:g} s was not done: {problem}"

@@ -191,7 +191,7 @@ class Ticker(ABC):
                 if left == LEADER:
                     self._stop_pulling()
                 else:
-                    self._plant.let_down(left)
+                    self._plant.let_down(left, retreated=self._reception.agents[left].link.leaving)
         elif arrived.kind == "order":
             self._obey(arrived.payload)
 

@@ -242,9 +242,11 @@ class MujocoPlant:
         self._leave_to(arm, LOST_ARMS[word]())
         return word
 
-    def let_down(self, arm: str) -> None:
-        """This arm's agent has said goodbye: its share fades, the hand opens, arm and base drive clear."""
-        self._leave_to(arm, LetDown(self.world.scenario.team.leave_s))
+    def let_down(self, arm: str, *, retreated: bool = False) -> None:
+        """This arm's agent has said goodbye. If it has put its share down and driven clear itself, the robot stays
+        where it stands; else its driver does all that: its share fades, the hand opens, arm and base drive clear."""
+        stands_clear = retreated and not self.hands.holds(arm)
+        self._leave_to(arm, Brake() if stands_clear else LetDown(self.world.scenario.team.leave_s))
 
     def _leave_to(self, arm: str, behaviour: Behaviour) -> None:
         self._drivers.leave_to(self._row[arm], behaviour)

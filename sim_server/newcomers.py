@@ -160,4 +160,6 @@ class Newcomers:
         for name, theirs in seats.items():
             if theirs == strut:
                 what = "is held by" if self._plant.hands.holds(name) else "is the one to be taken by"
+                if self._reception.agents[name].link.leaving:
+                    what = "has not been left yet by"
                 raise CannotCome(f"strut {strut + 1} {what} {name}: a newcomer needs a free one")

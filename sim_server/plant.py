@@ -72,8 +72,8 @@ class Plant(Protocol):
         """Its agent is gone or does not answer. Returns what the arm does now, in a word."""
         ...
 
-    def let_down(self, arm: str) -> None:
-        """Its agent has said goodbye."""
+    def let_down(self, arm: str, *, retreated: bool) -> None:
+        """Its agent has said goodbye. ``retreated``: after it had said that it was leaving."""
         ...
 
     def regain(self, arm: str) -> None: ...

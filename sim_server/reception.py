@@ -20,7 +20,7 @@ from wire.errors import Reason, Refused
 from wire.keys import ANY_HELLO, ArmKeys, Keys
 from wire.lifecycle import AgentLink, Invitation, Phase, check_hello
 from wire.link import Link, Publisher, Question
-from wire.messages import Goodbye, Hello, Message, Refusal, Vector, Welcome
+from wire.messages import Goodbye, Hello, Leaving, Message, Refusal, Vector, Welcome
 
 LEADER = "leader"
 HELD_S = 1.5
@@ -209,7 +209,7 @@ class Reception:
         return ready
 
     def answer(self, question: Question) -> str | None:
-        """Reply to a greeting or a goodbye; the name of an agent that left, or None."""
+        """Reply to a greeting, a notice or a goodbye; the name of an agent that left, or None."""
         name = self._named(question.key)
         agent = self.agents.get(name)
         ours = agent is not None and question.key == self.keys_of(name).hello
@@ -230,13 +230,18 @@ class Reception:
                 raise Refused(Reason.ARM, "name", name, "an arm of this run")
             if agent.is_gone:
                 raise Refused(Reason.ARM, "robot", name, "one that is there", "It has been taken away, or never came")
+            if isinstance(message, Leaving):
+                agent.link.begin_to_leave(message)
+                reply(message)
+                self._report("leaving", agent=name)
+                return None
             if isinstance(message, Goodbye):
                 agent.link.goodbye(message)
                 reply(message)
                 self._report("left", agent=name)
                 return name
             if not isinstance(message, Hello):
-                raise Refused(Reason.TYPE, "type", type(message).__name__, "hello or goodbye")
+                raise Refused(Reason.TYPE, "type", type(message).__name__, "hello, leaving or goodbye")
             if name in self._held:
                 check_hello(message, agent.link.invitation)
                 self._held[name] = question, time.monotonic()

@@ -28,7 +28,8 @@ class _Event(BaseModel):
 class ProcessEvent(_Event):
     """A thing done to the process of an arm's agent or of the leader.
 
-    ``kill``: SIGKILL. ``stop``: SIGSTOP. ``continue``: SIGCONT. ``leave``: SIGTERM, at which it says goodbye.
+    ``kill``: SIGKILL. ``stop``: SIGSTOP. ``continue``: SIGCONT. ``leave``: SIGTERM, at which it puts down
+    what it carries, drives clear and says goodbye.
     ``start``: a new process (an old one of that name that is still there is ended first).
     """
 
@@ -64,13 +65,13 @@ ScenarioEvent = Annotated[ProcessEvent | FailGrasp | Join, Field(discriminator="
 AnyEvent = ProcessEvent | FailGrasp | Join
 
 _FOLLOWS: Mapping[Verb, tuple[Collection[str], str]] = {
-    "kill": (("running", "stopped"), "gone"),
-    "stop": (("running",), "stopped"),
+    "kill": (("running", "stopped", "leaving"), "gone"),
+    "stop": (("running", "leaving"), "stopped"),
     "continue": (("stopped",), "running"),
-    "leave": (("running",), "gone"),
-    "start": (("gone", "stopped", "running again"), "running"),
+    "leave": (("running",), "leaving"),
+    "start": (("gone", "stopped", "leaving", "running again"), "running"),
 }
-"""Which process a verb can be done to, and what that process is then."""
+"""Which process a verb can be done to, and what that process is then. One that is leaving may have gone meanwhile."""
 
 
 def check_events(

@@ -19,13 +19,15 @@ from sim_server.checkpoint import Checkpoints, Owners
 from sim_server.checkpoint_file import FOLDER, Checkpoint
 from sim_server.clock import make_clock
 from sim_server.connections import connections_of
+from sim_server.disk import Disk
 from sim_server.errors import PlantFailed, ScenarioError, SimError
-from sim_server.happenings import Happenings, Undone
+from sim_server.happenings import Happenings
 from sim_server.layout import LayoutError
 from sim_server.lockstep import Stopped
 from sim_server.metrics import tilt_deg
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.newcomers import Newcomers
+from sim_server.process_deeds import Undone
 from sim_server.reception import LEADER, Arrived, Reception, Terms
 from sim_server.run_description import Ending, describe_agents, describe_run
 from sim_server.run_folder import AUDIT, METRICS, RUN, RunFolder, compute_metrics, write_json
@@ -118,6 +120,7 @@ class Server:
         )
         self._clock = make_clock(self._scenario, self._reception, self._plant, self._report)
         self._trace: TraceWriter | None = None
+        self._disk = Disk()
         self._newcomers = Newcomers(self._scenario, self._plant, self._reception, self._invite, self._robots_changed)
         deeds = CountedPublisher(link.publisher(keys.deeds), self._reception.tallies.of(OPERATOR, keys.deeds, "to"))
         self._happenings = Happenings(
@@ -136,7 +139,7 @@ class Server:
         self._start_wall = 0.0
         self._last_progress = 0.0
         owners = Owners(self._plant, self._reception, self._clock, self._happenings, self._invite)
-        self._checkpoints = Checkpoints(folder, run, named, owners)
+        self._checkpoints = Checkpoints(folder, run, named, owners, self._disk)
         if checkpoint is not None:
             self._go_on(checkpoint)
 
@@ -194,7 +197,9 @@ class Server:
 
     def _open_trace(self, segments: Sequence[Segment] = ()) -> TraceWriter:
         scenario = self._scenario
-        return TraceWriter(self._folder.trace, scenario.arms, arm_limits(scenario.team.arm).joints, segments)
+        return TraceWriter(
+            self._folder.trace, scenario.arms, arm_limits(scenario.team.arm).joints, segments, self._disk
+        )
 
     def _report(self, kind: str, **details: object) -> None:
         self._folder.event(self._plant.tick, self._plant.time_s, kind, **details)
@@ -276,6 +281,7 @@ class Server:
         finally:
             self._newcomers.end()
             trace.flush()
+            self._disk.wait()
         return True, "reached its duration"
 
     def _conclude(self, completed: bool, why: str) -> Outcome:

@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from sim_server.disk import Disk, Do, at_once
 from sim_server.trace_rows import RowFile, Segment
 
 Array = NDArray[np.float64]
@@ -65,11 +66,22 @@ class TraceWriter:
         arms: who takes part from the first row on.
         joints: of an arm.
         segments: of a run that goes on: what is kept. Rows that were written after those are dropped.
+        disk: writes the rows; without one they are written at once.
     """
 
-    def __init__(self, path: Path, arms: Iterable[str], joints: int, segments: Sequence[Segment] = ()) -> None:
-        self._path, self._parts, self._joints = path, path.with_suffix(".parts"), joints
-        self._files = [RowFile.kept(self._file(k), segment, self._width(segment)) for k, segment in _count(segments)]
+    def __init__(
+        self,
+        path: Path,
+        arms: Iterable[str],
+        joints: int,
+        segments: Sequence[Segment] = (),
+        disk: Disk | None = None,
+    ) -> None:
+        self._path, self._parts, self._joints, self._disk = path, path.with_suffix(".parts"), joints, disk
+        self._do: Do = disk.do if disk else at_once
+        self._files = [
+            RowFile.kept(self._file(k), segment, self._width(segment), self._do) for k, segment in _count(segments)
+        ]
         if segments:
             for file in self._parts.glob("*.rows"):
                 if file not in [each.path for each in self._files]:
@@ -86,7 +98,7 @@ class TraceWriter:
 
     def _begin(self, arms: tuple[str, ...]) -> None:
         segment = Segment(arms, 0)
-        self._files.append(RowFile(self._file(len(self._files) + 1), segment, self._width(segment)))
+        self._files.append(RowFile(self._file(len(self._files) + 1), segment, self._width(segment), self._do))
 
     def segment(self, arms: Iterable[str]) -> None:
         """From the next row on, these arms take part and no others."""
@@ -99,14 +111,24 @@ class TraceWriter:
         """One row: the values of all columns in order, in pieces of any length."""
         self._files[-1].append(parts)
 
-    def flush(self) -> list[Segment]:
-        """Hand what was written to the system, which keeps it if this process is killed; what there is so far."""
-        self._files[-1].flush()
+    def segments(self) -> list[Segment]:
+        """What there is so far."""
         return [Segment(file.arms, file.rows) for file in self._files]
 
+    def flush(self) -> list[Segment]:
+        """Have all rows so far handed to the system, which keeps them if this process is killed; what there is."""
+        self._files[-1].flush()
+        return self.segments()
+
     def close(self) -> None:
-        """Make the trace of all segments, whole or not at all. The rows stay until :meth:`forget`."""
+        """Make the trace of all segments, whole or not at all. The rows stay until :meth:`forget`.
+
+        Raises:
+            DiskFailed: rows could not be written.
+        """
         self._files[-1].close()
+        if self._disk is not None:
+            self._disk.wait()
         together = columns(dict.fromkeys(arm for file in self._files for arm in file.arms), self._joints)
         schema = pa.schema([(name, _type(name, width)) for name, width in together.items()])
         part = self._path.with_suffix(".part")

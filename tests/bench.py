@@ -68,9 +68,9 @@ class Ledger:
         self.book.append(("lose", arm))
         return "limp"
 
-    def let_down(self, arm: str) -> None:
+    def let_down(self, arm: str, *, retreated: bool) -> None:
         self.unled.add(arm)
-        self.book.append(("let_down", arm))
+        self.book.append(("stay" if retreated else "let_down", arm))
 
     def regain(self, arm: str) -> None:
         """Means nothing to an arm that is led."""

@@ -23,6 +23,7 @@ from wire.messages import (
     Hello,
     LeaderForce,
     LeaderView,
+    Leaving,
     Message,
     Order,
     Progress,
@@ -102,6 +103,7 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
         angular_velocity=vector(3),
     ),
     "leader_force": st.builds(LeaderForce, tick=integers, lease=integers, point=text(), force=vector(3)),
+    "leaving": st.builds(Leaving, name=text(), lease=integers),
     "goodbye": st.builds(Goodbye, name=text(), lease=integers),
     "end": st.builds(End, kind=st.sampled_from(["over", "lost"]), reason=text(1000)),
     "progress": st.builds(
@@ -137,6 +139,7 @@ SAMPLES: dict[str, Message] = {
     "command": Command("a1", 12, 2, SEVEN, (4.0, -3.0, 0.5), 0.0, SEVEN, 210_000),
     "leader_view": LeaderView(20, 20_000_000, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.2)),
     "leader_force": LeaderForce(20, 1, "front", (40.0, 0.0, 0.0)),
+    "leaving": Leaving("a1", 2),
     "goodbye": Goodbye("a1", 2),
     "end": End("over", "the run is over"),
     "progress": Progress("running", "", 100, 30_000, 0.1, 0.9, 1.25, -1.0, 7, 3),

@@ -25,6 +25,15 @@ class PlayedSimulator:
 
     def __init__(self, clock: Literal["lock-step", "real-time"], reply: Callable[[], Welcome | Refusal] | None = None):
         self.broker = Broker()
+        self.play(clock, reply)
+
+    def play(
+        self,
+        clock: Literal["lock-step", "real-time"],
+        reply: Callable[[], Welcome | Refusal] | None = None,
+        strut: Vector = ZERO,
+    ) -> None:
+        """Be there, from now on."""
         self.link = self.broker.link()
         self.answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         points: dict[str, Vector] = {"front": (0.8, 0.0, 0.7)}
@@ -35,7 +44,7 @@ class PlayedSimulator:
             points=points,
             force_max_N=40.0,
             carry_height_m=0.0,
-            strut=(0.0,) * 7,
+            strut=strut,
         )
         for keys in (KEYS.arm("a1"), KEYS.leader):
             self.link.subscribe(keys.command, self.answers.put)
@@ -45,8 +54,7 @@ class PlayedSimulator:
         self.view = self.link.publisher(KEYS.leader.state)
         self.ended: queue.SimpleQueue[str | Exception] = queue.SimpleQueue()
 
-    @staticmethod
-    def _answer(question: MemoryQuestion, reply: Welcome | Refusal) -> None:
+    def _answer(self, question: MemoryQuestion, reply: Welcome | Refusal) -> None:
         question.reply(encode(reply))
 
     def start(self, agent: Callable[[], str]) -> None:

@@ -22,8 +22,8 @@ ROUNDS = 3
 
 SCENARIO = """
 extends = "transport"
-description = "Two arms and a light table; everything happens to one of them and to the leader within a second."
-duration_s = 1.0
+description = "Two arms and a light table; everything happens to one of them and to the leader."
+duration_s = 6.3
 [team]
 count = 2
 leave_s = 0.1
@@ -104,9 +104,15 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
 
 def test_every_event_is_ordered_and_seen_at_its_tick(told: Told) -> None:
     story = [(tick, kind, agent) for tick, kind, agent in sorted(STORY, key=lambda each: each[0])]
-    for kind in ("ordered", "seen"):
-        assert [(each["tick"], each["event"], each["agent"]) for each in told.events(kind)] == story, told.said
-    assert told.status == 1  # a second does not reach the goal, but the run reached its end
+    ordered, seen = (
+        [(each["tick"], each["event"], each["agent"]) for each in told.events(kind)] for kind in ("ordered", "seen")
+    )
+    assert ordered == story, told.said
+    assert seen[:-1] == story[:-1], told.said
+    tick, *leave = seen[-1]
+    assert leave == ["leave", "a2"]  # whose end is seen when it has gone
+    assert 5000 < tick < 6300
+    assert told.status == 1  # two arms do not reach the goal by then, but the run reached its end
 
 
 def test_a_killed_agent_is_lost_at_once_and_a_stopped_one_after_20_missed_ticks(told: Told) -> None:
@@ -138,8 +144,22 @@ def test_leases_count_the_instances_and_a_goodbye_is_no_loss(told: Told) -> None
     run = read_json(told.folder / "run.json")
     assert (run["agents"]["a2"]["lease"], run["agents"]["a2"]["phase"]) == (ROUNDS + 2, "left")
     assert run["agents"]["leader"]["lease"] == 2
-    assert [event["tick"] for event in told.events("left")] == [800]
-    assert [event["tick"] for event in told.events("hand_opened")] == [900]
+    assert [event["tick"] for event in told.events("leaving")] == [800]
+    assert [event["tick"] for event in told.events("hand_opened")] == [901]
+    (seen,) = [event for event in told.events("seen") if event["event"] == "leave"]
+    assert [event["tick"] for event in told.events("left")] == [seen["tick"] - 1]
+
+
+def test_an_agent_that_leaves_answers_every_tick_until_its_goodbye_and_stands_a_metre_clear(told: Told) -> None:
+    (left,) = told.events("left")
+    trace = read_trace(told.folder / "trace.parquet")
+    np.testing.assert_array_equal(trace["a2.age_ticks"][700 : left["tick"]], 0)
+    assert trace["a2.age_ticks"][left["tick"]] == 1, "the goodbye took the place of an answer"
+    moved = trace["a2.base"][-1] - trace["a2.base"][901]
+    assert float(np.hypot(*moved[:2])) > 1.0
+    assert (trace["a2.grip"][902:] == 0.0).all()
+    log = sorted(told.folder.glob("logs/a2.*"), key=lambda path: path.stat().st_mtime)[-1]
+    assert "a2: left in order" in log.read_text()
 
 
 def test_every_instance_has_its_own_log_and_none_is_left_over(told: Told) -> None:

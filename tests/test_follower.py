@@ -3,19 +3,40 @@
 from __future__ import annotations
 
 import queue
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 from played_simulator import DEADLINE_S, KEYS, SETTINGS, ZERO, PlayedSimulator, Q, state, wait_for
 
+import agents.at_once
+import agents.retreat
 from agents.arm_model import ArmModel
+from agents.departure import Departure
 from agents.errors import AgentError, NotWelcome
 from agents.follower import Follower, run_follower
 from agents.leader import LeaderSettings, bounded_pull, pull, rotate, run_leader
+from agents.reach import OPEN_M
 from agents.session import AgentSession, RunEnded
-from wire.codec import decode, encode
+from wire.codec import decode, decode_any, encode
 from wire.errors import Reason
-from wire.messages import End, Hello, LeaderForce, LeaderView, Refusal, State
+from wire.memory import Broker, MemoryQuestion
+from wire.messages import (
+    Command,
+    End,
+    Goodbye,
+    Hello,
+    LeaderForce,
+    LeaderView,
+    Leaving,
+    Refusal,
+    State,
+    Vector,
+    Welcome,
+)
+
+HELLO = Hello("follower", "test", "a1", "panda", "", 1, "here")
 
 
 def gravity() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -49,8 +70,7 @@ def test_in_real_time_a_follower_holds_its_arm_up_when_states_stop_coming() -> N
 
 
 def joined(simulator: PlayedSimulator) -> AgentSession:
-    hello = Hello("follower", "test", "a1", "panda", "", 1, "here")
-    session = AgentSession(simulator.broker.link(), KEYS.arm("a1"), KEYS.sim_alive, hello)
+    session = AgentSession(simulator.broker.link(), KEYS.arm("a1"), KEYS.sim_alive, HELLO)
     session.join(DEADLINE_S)
     return session
 
@@ -145,6 +165,134 @@ def test_a_follower_ends_when_the_simulator_is_gone() -> None:
     ended = simulator.ended.get(timeout=DEADLINE_S)
     assert isinstance(ended, AgentError)
     assert "gone" in str(ended)
+
+
+class Witness(PlayedSimulator):
+    """Notes what is said on the hello key."""
+
+    def __init__(self, clock: Literal["lock-step", "real-time"] = "lock-step", strut: Vector = ZERO) -> None:
+        self.said: list[Hello | Leaving | Goodbye] = []
+        self.departure = Departure()
+        self.settings = replace(SETTINGS, leave_s=0.002, reconnect_s=DEADLINE_S)
+        self.broker = Broker()
+        self.play(clock, strut=strut)
+
+    def _answer(self, question: MemoryQuestion, reply: Welcome | Refusal) -> None:
+        message = decode_any(question.payload)
+        assert isinstance(message, Hello | Leaving | Goodbye)
+        self.said.append(message)
+        question.reply(encode(reply if isinstance(message, Hello) else message))
+
+    def follow(self) -> None:
+        link = self.broker.link()
+        self.start(lambda: run_follower(link, self.settings, self.departure))
+        wait_for(self.state.matched)
+
+    def tick(self, tick: int) -> Command:
+        self.state.put(state(tick))
+        return self.command()
+
+
+def test_a_follower_that_is_told_to_leave_says_so_before_its_next_answer_and_answers_on() -> None:
+    simulator = Witness()
+    simulator.follow()
+    before = simulator.tick(0)
+    assert simulator.departure.ask()
+    wait_for(lambda: simulator.said[1:] == [Leaving("a1", 3)])
+    commands = [simulator.tick(tick) for tick in range(1, 8)]
+    assert [command.tick for command in commands] == list(range(1, 8))
+    assert before.grip_m == commands[0].grip_m == 0.0, "it lets its share down first"
+    assert [command.grip_m for command in commands[3:]] == [OPEN_M] * 4, "2 ms later its hand opens"
+    simulator.state.put(encode(End("over", "enough")))
+    assert simulator.ended.get(timeout=DEADLINE_S) == "enough", "the run may end meanwhile"
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_state_that_comes_with_the_notice_is_answered_by_the_retreat(
+    at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The simulator goes on as soon as it has the notice, before the follower has the reply: at which tick the retreat
+    begins must not depend on who is quicker, nor on which thread answers."""
+    monkeypatch.setattr(agents.at_once, "QUICK_STEPS", 2 if at_once else 1000)
+    monkeypatch.setattr(agents.at_once, "QUICK_NS", 10**12)
+
+    class Quick(Witness):
+        def _answer(self, question: MemoryQuestion, reply: Welcome | Refusal) -> None:
+            super()._answer(question, reply)
+            if isinstance(self.said[-1], Leaving):
+                self.state.put(state(5))
+
+    simulator = Quick()
+    simulator.settings = replace(simulator.settings, leave_s=0.0)
+    simulator.follow()
+    for tick in range(5):
+        assert simulator.tick(tick).grip_m == 0.0
+    assert simulator.departure.ask()
+    command = simulator.command()
+    assert (command.tick, command.grip_m) == (5, OPEN_M)
+    assert [simulator.tick(tick).grip_m for tick in range(6, 9)] == [OPEN_M] * 3
+
+
+def test_the_goodbye_is_the_answer_to_the_state_after_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So it arrives between two ticks that are certain, and the run repeats byte for byte."""
+    monkeypatch.setattr(agents.retreat, "PATIENCE_S", 0.0105)
+    simulator = Witness()
+    simulator.follow()
+    simulator.tick(0)
+    simulator.departure.ask()
+    wait_for(lambda: len(simulator.said) == 2)
+    for tick in range(1, 14):
+        simulator.tick(tick)
+    assert simulator.said[2:] == []
+    simulator.state.put(state(14))
+    assert simulator.ended.get(timeout=DEADLINE_S) == "left in order"
+    assert simulator.said[2:] == [Goodbye("a1", 3)]
+    assert simulator.answers.empty()
+
+
+def test_a_follower_that_reaches_turns_back_with_open_fingers() -> None:
+    simulator = Witness(strut=(1.5, 0.0, 0.5, 0.0, 1.0, 0.0, 0.0))
+    simulator.follow()
+    simulator.tick(0)
+    simulator.departure.ask()
+    wait_for(lambda: len(simulator.said) == 2)
+    assert simulator.tick(1).grip_m == OPEN_M
+
+
+def test_a_departure_is_seen_to_once_and_only_by_one_who_is_in() -> None:
+    departure = Departure()
+    assert not departure.ask(), "nobody hears it: end at once"
+    simulator = Witness()
+    link = simulator.broker.link()
+    session = AgentSession(link, KEYS.arm("a1"), KEYS.sim_alive, HELLO)
+    departure.heard_by(session.wake)
+    assert not departure.ask(), "not let in yet"
+    session.join(DEADLINE_S)
+    assert departure.ask()
+    assert session.receive(DEADLINE_S) is None, "it wakes up for that"
+    assert not departure.ask(), "asked again: in a hurry"
+    simulator.link.close()
+    with pytest.raises(AgentError, match="gone"):
+        session.receive(DEADLINE_S)
+    departure = Departure()
+    departure.heard_by(session.wake)
+    assert not departure.ask(), "not in any more"
+
+
+def test_a_follower_that_was_leaving_a_simulator_that_died_leaves_the_next_one() -> None:
+    first = Witness()
+    first.follow()
+    first.tick(0)
+    first.departure.ask()
+    wait_for(lambda: len(first.said) == 2)
+    first.link.close()
+    second = first  # the same place, another simulator
+    second.said = []
+    second.play("lock-step", strut=(1.5, 0.0, 0.5, 0.0, 1.0, 0.0, 0.0))
+    wait_for(lambda: len(second.said) == 1)
+    command = second.tick(0)
+    assert second.said[1:] == [Leaving("a1", 3)]
+    assert command.grip_m == OPEN_M, "its hand had opened by then: it goes on from there"
 
 
 def test_the_leader_answers_every_view_and_refuses_a_point_that_the_load_lacks() -> None:

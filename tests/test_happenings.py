@@ -6,23 +6,28 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 import pytest
-from bench import LOST_AFTER, RUN, TIMEOUT_S, Bench, MemoryAgent, silent
+from bench import LOST_AFTER, RUN, TIMEOUT_S, Bench, MemoryAgent, ask, silent
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_server import happenings
+from sim_server import happenings, process_deeds
 from sim_server.errors import ScenarioError
 from sim_server.grasping import Closing
-from sim_server.happenings import Arrivals, Happenings, Undone
+from sim_server.happenings import Arrivals, Happenings
 from sim_server.newcomers import CannotCome
+from sim_server.process_deeds import Undone
 from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Verb, check_events
 from sim_server.scenario_files import load_scenario
+from sim_server.snapshot import pack, unpack
 from sim_server.world_builder import NotBuilt
 from wire.codec import decode, encode
 from wire.errors import Reason
 from wire.keys import Keys
 from wire.lifecycle import Phase
-from wire.messages import Deed, Done, Goodbye, Order
+from wire.messages import Deed, Done, Goodbye, Leaving, Order
+
+RETREAT_TICKS = 4
+"""Ticks that an agent answers in memory after it has said that it leaves."""
 
 # The file
 
@@ -60,7 +65,7 @@ verbs = st.sampled_from(["kill", "stop", "continue", "start", "leave"])
 @given(st.lists(verbs, max_size=6))
 def test_events_of_one_agent_are_taken_exactly_when_there_is_a_process_to_do_them_to(chain: list[Verb]) -> None:
     """A second account of the same rule: a process that is there and runs, is there and is stopped, or is not there."""
-    there, stopped, replaceable, possible = True, False, False, True
+    there, stopped, leaves, replaceable, possible = True, False, False, False, True
     for verb in chain:
         possible = (
             possible
@@ -68,12 +73,12 @@ def test_events_of_one_agent_are_taken_exactly_when_there_is_a_process_to_do_the
                 "kill": there,
                 "stop": there and not stopped,
                 "continue": there and stopped,
-                "leave": there and not stopped,
+                "leave": there and not stopped and not leaves,
                 "start": not there or stopped or replaceable,
             }[verb]
         )
-        there = verb not in ("kill", "leave")
-        stopped, replaceable = verb == "stop", verb == "continue"
+        there, leaves = verb != "kill", verb == "leave"  # one that leaves is there until it has gone, whenever that is
+        stopped, replaceable = verb == "stop", verb in ("continue", "leave")
     events = [ProcessEvent(at_s=float(k), kind=verb, agent="a1") for k, verb in enumerate(chain)]
     if possible:
         check_events(events, ("a1",), False, 100.0)
@@ -192,8 +197,8 @@ class Stage:
         elif deed.verb == "continue":
             agent.behave = BEHAVES
         else:
-            agent.link.query(agent.keys.hello, encode(Goodbye(agent.name, agent.lease)), 1.0)
-            agent.link.close()
+            ask(self.bench.broker, agent.keys.hello, Leaving(agent.name, agent.lease))
+            agent.behave = leaves(agent.seen[-1].tick + RETREAT_TICKS)
         return ""
 
     def run(self, ticks: int) -> float:
@@ -206,6 +211,19 @@ class Stage:
 
     def reported(self, kind: str) -> list[tuple[object, object]]:
         return [(each["event"], each["agent"]) for each in self.bench.reported(kind)]
+
+
+def leaves(last: int) -> Any:
+    """Answers up to the tick ``last`` and says goodbye instead of answering another."""
+
+    def behave(agent: MemoryAgent, state: Any) -> None:
+        if state.tick <= last:
+            BEHAVES(agent, state)
+            return
+        ask(agent.broker, agent.keys.hello, Goodbye(agent.name, agent.lease))
+        agent.link.close()
+
+    return behave
 
 
 def BEHAVES(agent: MemoryAgent, state: Any) -> None:
@@ -285,16 +303,101 @@ def test_a_stopped_agent_whose_place_another_takes_is_lost_first() -> None:
     assert stage.bench.commands("a2") == [0.5, 1.5, 4.5, 5.5]
 
 
-def test_an_agent_that_leaves_is_let_down() -> None:
+def test_the_clock_stands_until_an_agent_has_said_that_it_leaves_and_goes_on_while_it_does() -> None:
     stage = Stage(event(2, "leave"))
-    stage.run(4)
-    assert ("let_down", "a2") in stage.bench.book
+    assert stage.run(2 + RETREAT_TICKS) < TIMEOUT_S
+    assert stage.bench.commands("a2") == [tick + 0.5 for tick in range(2 + RETREAT_TICKS)]
+    assert stage.bench.reported("leaving") == [{"agent": "a2"}]
+    assert stage.reported("ordered") == [("leave", "a2")]
+    assert stage.reported("seen") == []
+    assert stage.run(1) < TIMEOUT_S
+    assert stage.bench.reported("left") == [{"agent": "a2"}]
+    assert ("stay", "a2") in stage.bench.book, "it stands clear already: nothing is left to let down"
+    stage.run(1)
+    assert stage.reported("seen") == [("leave", "a2")]
+    assert stage.bench.reported("seen")[0]["effect"] == "it said goodbye"
     assert stage.bench.reported("lost") == []
+
+
+def test_an_agent_that_says_goodbye_at_once_is_let_down_by_its_driver() -> None:
+    """The leader does, and whoever has no time, or was written in another language."""
+    stage = Stage(event(2, "leave"))
+
+    def quick(deed: Deed) -> str:
+        agent = stage.agents["a2"]
+        ask(stage.bench.broker, agent.keys.hello, Goodbye(agent.name, agent.lease))
+        agent.link.close()
+        return ""
+
+    stage.do = quick
+    stage.run(3)
+    assert ("let_down", "a2") in stage.bench.book
     assert stage.reported("seen") == [("leave", "a2")]
 
 
+@pytest.mark.parametrize("how", ["kill", "stop"])
+def test_an_agent_that_is_killed_or_frozen_while_it_leaves_is_lost(how: Verb) -> None:
+    stage = Stage(event(2, "leave"), event(4, how))
+    assert stage.run(4 + LOST_AFTER + 1) < TIMEOUT_S
+    (lost,) = stage.bench.reported("lost")
+    assert lost["missed_ticks"] == (0 if how == "kill" else LOST_AFTER)
+    assert ("lose", "a2") in stage.bench.book
+    seen = {each["event"]: each["effect"] for each in stage.bench.reported("seen")}
+    assert seen["leave"] == "it was lost before it had gone"
+
+
+def test_an_agent_that_is_started_again_while_it_leaves_is_another() -> None:
+    stage = Stage(event(2, "leave"), event(3, "start"))
+
+    def replace(deed: Deed) -> str:
+        if deed.verb == "start":
+            stage.agents["a2"].link.close()
+        return stage.obey(deed)
+
+    stage.do = replace
+    stage.run(12)
+    assert stage.bench.phase("a2") is Phase.TICKING
+    assert stage.bench.commands("a2") == [tick + 0.5 for tick in range(12)]
+    seen = {each["event"]: each["effect"] for each in stage.bench.reported("seen")}
+    assert seen["leave"] == "it was lost before it had gone"
+
+
+def test_an_agent_that_dies_of_the_signal_is_lost_and_the_run_goes_on() -> None:
+    stage = Stage(event(2, "leave"))
+
+    def dies(deed: Deed) -> str:
+        stage.agents["a2"].link.close()
+        return ""
+
+    stage.do = dies
+    assert stage.run(5) < TIMEOUT_S
+    assert stage.reported("seen") == [("leave", "a2")]
+    assert [each["agent"] for each in stage.bench.reported("lost")] == ["a2"]
+
+
+def test_one_that_neither_leaves_nor_says_so_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process_deeds, "DEED_S", 0.05)
+    stage = Stage(event(2, "leave"))
+    stage.do = lambda deed: ""
+    with pytest.raises(Undone, match=r"'leave' of a2 at .* neither said that it is leaving nor goodbye"):
+        stage.run(3)
+
+
+def test_a_run_that_is_gone_on_with_sees_the_end_of_a_leave_that_was_ordered_before() -> None:
+    first = Stage(event(2, "leave"))
+    first.run(4)
+    second = Stage(event(2, "leave"))
+    second.happenings.restore(unpack(pack(first.happenings.state())))
+    again = second.agents["a2"]
+    second.run(1)
+    assert second.reported("ordered") == second.reported("seen") == []
+    again.behave = leaves(0)
+    second.run(2)
+    assert second.reported("seen") == [("leave", "a2")]
+
+
 def test_without_a_launcher_the_run_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(happenings, "NOBODY_S", 0.05)
+    monkeypatch.setattr(process_deeds, "NOBODY_S", 0.05)
     stage = Stage(event(2, "kill"), launcher=False)
     with pytest.raises(Undone, match=r"'kill' of a2 at 0\.002 s.*palanquin run"):
         stage.run(3)
@@ -309,7 +412,7 @@ def test_a_deed_that_the_launcher_cannot_do_ends_the_run_with_its_words() -> Non
 
 
 def test_a_deed_that_is_reported_but_not_seen_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(happenings, "DEED_S", 0.05)
+    monkeypatch.setattr(process_deeds, "DEED_S", 0.05)
     stage = Stage(event(2, "kill"))
     stage.do = lambda deed: ""
     with pytest.raises(Undone, match="sign of life is still there"):

@@ -12,7 +12,7 @@ from one_link import HELLO, INVITATION, WRONG_HELLO, command, refused, unchanged
 
 from wire.errors import MisuseError, Reason, Refused
 from wire.lifecycle import TRANSITIONS, AgentLink, Event, Invitation, Phase, check_hello
-from wire.messages import Goodbye, Hello, LeaderForce
+from wire.messages import Goodbye, Hello, LeaderForce, Leaving
 
 
 def link_in(phase: Phase) -> AgentLink:
@@ -99,9 +99,24 @@ def test_an_answer_counts_only_while_ticking(phase: Phase) -> None:
     assert refused(link, lambda: link.answer(command(5, link.lease))) == Reason.PHASE
 
 
+@pytest.mark.parametrize("phase", [Phase.HELLO, Phase.READY, Phase.TICKING])
+def test_one_who_says_that_it_leaves_stays_in_until_its_goodbye(phase: Phase) -> None:
+    link = link_in(phase)
+    for _ in range(2):
+        link.begin_to_leave(Leaving("a1", 1))
+        assert (link.phase, link.leaving) == (phase, True)
+    if phase is Phase.TICKING:
+        link.answer(command(5, 1))
+    link.goodbye(Goodbye("a1", 1))
+    assert link.phase is Phase.LEFT
+    link.greet(HELLO)
+    assert not link.leaving, "the next instance has not said so"
+
+
 @pytest.mark.parametrize("phase", [Phase.ABSENT, Phase.LOST, Phase.LEFT])
 def test_one_who_is_not_in_cannot_leave_or_vanish(phase: Phase) -> None:
     link = link_in(phase)
+    assert refused(link, lambda: link.begin_to_leave(Leaving("a1", link.lease))) == Reason.PHASE
     assert refused(link, lambda: link.goodbye(Goodbye("a1", link.lease))) == Reason.PHASE
     before = astuple(link)
     assert link.vanish() is False
@@ -189,6 +204,7 @@ def test_lost_means_so_many_misses_in_a_row_and_an_answer_starts_the_count_again
 def test_nobody_can_say_goodbye_for_another(goodbye: Goodbye, reason: Reason) -> None:
     link = link_in(Phase.TICKING)
     assert refused(link, lambda: link.goodbye(goodbye)) == reason
+    assert refused(link, lambda: link.begin_to_leave(Leaving(goodbye.name, goodbye.lease))) == reason
 
 
 def test_the_leader_s_answer_follows_the_same_rules_without_joints() -> None:

@@ -13,7 +13,7 @@ from one_link import HELLO, INVITATION, WRONG_HELLO, command, refused, unchanged
 
 from wire.errors import MisuseError, Reason
 from wire.lifecycle import AgentLink, Phase
-from wire.messages import Command, Goodbye
+from wire.messages import Command, Goodbye, Leaving
 
 # Any order of events, over a network that drops, doubles, reorders and delays
 
@@ -30,6 +30,8 @@ class AnyNetwork(RuleBasedStateMachine):
         self.link = AgentLink(replace(INVITATION, lost_after=lost_after))
         self.is_in = self.is_connected = False
         self.newest_lease = 0
+        self.leaver = -1
+        """The lease of the last instance that said that it leaves."""
         self.newest_tick = -1
         self.fate: dict[int, str] = {}
         """Of every tick sent: ``open``, ``answered``, ``given up``, or ``dropped`` when the agent went meanwhile."""
@@ -84,6 +86,16 @@ class AnyNetwork(RuleBasedStateMachine):
             self.link.goodbye(message)
             assert self.link.phase is Phase.LEFT
             self.go()
+
+    @rule(behind=st.integers(-1, 2))
+    def say_that_it_leaves(self, behind: int) -> None:
+        message = Leaving("a1", self.newest_lease - behind)
+        if behind or not self.is_in:
+            reason = refused(self.link, lambda: self.link.begin_to_leave(message))
+            assert reason == (Reason.LEASE if behind else Reason.PHASE)
+        else:
+            self.link.begin_to_leave(message)
+            self.leaver = self.newest_lease
 
     # The simulator
 
@@ -192,6 +204,7 @@ class AnyNetwork(RuleBasedStateMachine):
     def the_link_is_where_the_model_says(self) -> None:
         link = self.link
         assert link.lease == self.newest_lease
+        assert link.leaving == (self.leaver == self.newest_lease)
         assert link.last_tick == self.newest_tick
         assert link.open_tick == (self.newest_tick if self.is_open() else None)
         assert link.missed_in_row == self.misses

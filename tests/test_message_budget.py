@@ -49,7 +49,7 @@ def reach_a_follower() -> set[str]:
 
 
 def test_the_budget_has_every_field_that_can_reach_a_follower_and_no_other() -> None:
-    assert reach_a_follower() == {"state", "end", "welcome", "refusal", "goodbye"}
+    assert reach_a_follower() == {"state", "end", "welcome", "refusal", "leaving", "goodbye"}
     fields = {f"{kind}.{name}" for kind in reach_a_follower() for name in SCHEMAS[kind][1]}
     assert {row[0].strip("`") for row in table("silence.md", "budget")} == fields
 
@@ -231,6 +231,7 @@ def test_what_a_follower_is_told_at_its_start_is_its_own_arm_and_law() -> None:
         "--arm-model",
         "--controller",
         "--handover-s",
+        "--leave-s",
         "--set",
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import shutil
 from collections.abc import Mapping
@@ -17,8 +18,9 @@ from processes import read_events, read_json
 from agents.follower import Follower, FollowerSettings
 from agents.leader import LeaderSettings, pull
 from deploy.resuming import checkpoint_to_resume
-from sim_server import checkpoint_file
-from sim_server.checkpoint_file import Checkpoint, CheckpointError, read_checkpoint
+from sim_server import checkpoint, checkpoint_file
+from sim_server.checkpoint_file import Checkpoint, CheckpointError, read_checkpoint, write_checkpoint
+from sim_server.disk import DiskFailed
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.reception import LEADER
 from sim_server.run_folder import RunFolder, RunFolderError
@@ -334,11 +336,60 @@ def test_a_run_that_has_ended(tmp_path: Path) -> None:
     assert "has ended in order (reached its duration)" in said
 
 
+def test_between_its_rows_and_its_file_a_checkpoint_is_not_there_and_the_one_before_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another thread writes while the ticks go on: killed between any two things that it does, the run goes on."""
+    copies: list[Path] = []
+
+    def write(file: Path, body: bytes, before: Path | None) -> None:
+        copies.append(Path(shutil.copytree(tmp_path / "run", tmp_path / f"{len(copies)}")))
+        write_checkpoint(file, body, before)
+
+    monkeypatch.setattr(checkpoint, "write_checkpoint", write)
+    begin(tmp_path / "run", {})
+    assert [path.name for path in copies] == [f"{k}" for k in range(5)]
+    whole = read_trace(tmp_path / "run" / "trace.parquet")
+    for k, copied in enumerate(copies[1:]):
+        outcome, _ = go_on(copied)
+        assert outcome is not None
+        assert read_json(copied / "run.json")["resumed"][0]["tick"] == k * EVERY
+        trace = read_trace(copied / "trace.parquet")
+        np.testing.assert_array_equal(trace["tick"], np.arange(TICKS))
+        np.testing.assert_array_equal(trace["a1.q"][: k * EVERY], whole["a1.q"][: k * EVERY])
+
+
+@pytest.mark.parametrize("fails_at", [2, 5])
+def test_a_disk_that_is_full_ends_the_run_with_a_sentence_and_the_checkpoint_before_is_good(
+    fails_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fifth is the last of the run: that nothing is handed over after it hides nothing."""
+    count = 0
+
+    def write(file: Path, body: bytes, before: Path | None) -> None:
+        nonlocal count
+        count += 1
+        if count == fails_at:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write_checkpoint(file, body, before)
+
+    monkeypatch.setattr(checkpoint, "write_checkpoint", write)
+    with pytest.raises(DiskFailed, match=r"No space left on device.*--resume RUN"):
+        begin(tmp_path / "run", {})
+    assert not (tmp_path / "run" / "run.json").exists()
+    monkeypatch.undo()
+    outcome, _ = go_on(tmp_path / "run")
+    assert outcome is not None
+    assert outcome.completed
+    assert read_json(tmp_path / "run" / "run.json")["resumed"][0]["tick"] == (fails_at - 2) * EVERY
+    np.testing.assert_array_equal(read_trace(tmp_path / "run" / "trace.parquet")["tick"], np.arange(TICKS))
+
+
 def test_another_version(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     latest = copy / STATE
     data = latest.read_bytes()
-    latest.write_bytes(data.replace(b"checkpoint 1 ", b"checkpoint 7 ", 1))
-    assert "version 7, expected 1" in refused(copy)
+    latest.write_bytes(data.replace(b"checkpoint 2 ", b"checkpoint 7 ", 1))
+    assert "version 7, expected 2" in refused(copy)
     latest.write_bytes(data)
     rewrite(copy, {"versions": {"palanquin": "0.1.0", "mujoco": "2.0"}})
     assert "install mujoco 2.0" in refused(copy)

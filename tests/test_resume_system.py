@@ -141,6 +141,44 @@ def test_wrong_credentials_change_nothing_in_the_folder(killed: Killed) -> None:
     assert {path: path.read_bytes() for path in killed.spare.rglob("*") if path.is_file()} == before
 
 
+def test_an_agent_that_was_leaving_as_the_simulator_died_leaves_the_one_that_goes_on(tmp_path: Path) -> None:
+    address, folder = f"tcp/127.0.0.1:{free_port()}", tmp_path / "run"
+    values = {"duration_s": 60.0, "team.count": 2, "load.mass_kg": 8.0, "record.checkpoint_s": 0.2}
+    connect = ("--run", RUN, "--connect", address)
+    serve = ("--open", "--listen", address)
+
+    def events(kind: str) -> list[dict[str, object]]:
+        return [each for each in read_events(folder) if each["kind"] == kind and not each.get("undone")]
+
+    with ExitStack() as stack:
+        begin = ("sim", "hold", *serve, "--run", RUN, "--out", str(folder), *settings(values))
+        sim = stack.enter_context(started(*begin, cwd=tmp_path, name="sim"))
+        a1, a2 = (
+            stack.enter_context(started("follower", "--arm", arm, *connect, "--leave-s", "0.1", cwd=tmp_path, name=arm))
+            for arm in ("a1", "a2")
+        )
+        sim.wait_until(lambda: tick_of(folder) >= 0, "the first checkpoint")
+        a2.process.send_signal(signal.SIGTERM)
+        sim.wait_until(lambda: events("hand_opened"), "the hand to open")
+        opened = events("hand_opened")[0]["tick"]
+        assert isinstance(opened, int)
+        sim.wait_until(lambda: tick_of(folder) > opened, "a checkpoint after that")
+        sim.process.send_signal(signal.SIGKILL)
+        sim.end()
+        wait_until(lambda: all("is gone" in agent.said() for agent in (a1, a2)), "the agents to notice")
+        again = stack.enter_context(started("sim", "--resume", folder, *serve, cwd=tmp_path, name="again"))
+        again.wait_until(lambda: events("left"), "the goodbye")
+        assert a2.end() == 0
+        assert "a2: left in order" in a2.said()
+        again.process.send_signal(signal.SIGINT)
+        again.end()
+        assert a1.end() == 0
+    trace = read_trace(folder / "trace.parquet")
+    assert [each["agent"] for each in events("leaving")] == ["a2", "a2"], "it tells the next simulator as well"
+    assert (trace["a2.grip"][trace["tick"] > opened + 1] == 0.0).all(), "its hand stayed open"
+    assert events("lost") == []
+
+
 def test_agents_end_when_the_simulator_does_not_come_back_in_the_time_they_were_given(tmp_path: Path) -> None:
     address = f"tcp/127.0.0.1:{free_port()}"
     serve = ("sim", "transport-one", "--open", "--run", RUN, "--listen", address, "--out", str(tmp_path / "run"))

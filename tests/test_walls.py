@@ -176,8 +176,8 @@ def test_a_launched_follower_is_told_its_arm_and_its_law_and_nothing_of_the_othe
     assert isinstance(second, list)
     assert [word.replace("a1", "a2") for word in first] == second
     options = {word for word in first if word.startswith("--")}
-    told = {"--credential", "--arm", "--arm-model", "--controller", "--handover-s", "--set", "--run", "--connect"}
-    assert options <= told | {"--walls", "--with-parent", "--reconnect-s"}
+    told = {"--credential", "--arm", "--arm-model", "--controller", "--handover-s", "--leave-s", "--set", "--run"}
+    assert options <= told | {"--connect", "--walls", "--with-parent", "--reconnect-s"}
     assert first[first.index("--run") + 1] == "carry"  # not the scenario's name
 
 

@@ -26,6 +26,7 @@ from wire.messages import (
     Hello,
     LeaderForce,
     LeaderView,
+    Leaving,
     Message,
     Order,
     Progress,
@@ -177,6 +178,7 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
         },
     ),
     "leader_force": (LeaderForce, {"tick": _integer, "lease": _integer, "point": _text(40), "force": _three}),
+    "leaving": (Leaving, {"name": _text(40), "lease": _integer}),
     "goodbye": (Goodbye, {"name": _text(40), "lease": _integer}),
     "end": (End, {"kind": _one_of("over", "lost"), "reason": _text(1000)}),
     "progress": (

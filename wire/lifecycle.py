@@ -4,6 +4,8 @@
     ticking --struck_out | vanished--> lost        any but absent --said_goodbye--> left
     hello, lost, left --greeted--> hello, with a new lease: what the old instance still sends is refused
 
+An agent that has said that it is leaving stays where it is: it goes on answering until its goodbye.
+
 Illegal input raises and changes nothing.
 """
 
@@ -16,7 +18,7 @@ from types import MappingProxyType
 from typing import Any
 
 from wire.errors import MisuseError, Reason, Refused
-from wire.messages import Command, Goodbye, Hello, LeaderForce
+from wire.messages import Command, Goodbye, Hello, LeaderForce, Leaving
 
 
 class Phase(StrEnum):
@@ -134,6 +136,8 @@ class AgentLink:
     states_sent: int = 0
     excused: int = 0
     """Ticks that this instance has not answered before its first answer, and that were not counted as missed."""
+    leaving: bool = False
+    """Whether this instance has said that it puts down what it carries and will then go."""
     refused: dict[str, int] = field(default_factory=dict)
     _greeted_after: int = -1
     """The newest tick that went to an instance before this one."""
@@ -159,6 +163,7 @@ class AgentLink:
         self.lease += 1
         self.open_tick = self.answered_tick = None
         self.missed_in_row = self.excused = 0
+        self.leaving = False
         self._greeted_after = self.last_tick
         return self.lease
 
@@ -255,16 +260,25 @@ class AgentLink:
         self.open_tick = None
         return True
 
+    def begin_to_leave(self, message: Leaving) -> None:
+        """The agent says that it is leaving; once more changes nothing. Raises :class:`Refused` if it is not the one
+        that is in."""
+        self._check_who_goes(message, "leaving")
+        self.leaving = True
+
     def goodbye(self, message: Goodbye) -> None:
-        """The agent leaves in order. Raises :class:`Refused` if it is not the one that is in."""
+        """The agent has left in order. Raises :class:`Refused` if it is not the one that is in."""
+        self._check_who_goes(message, "goodbye")
+        self._move(Event.SAID_GOODBYE)
+        self.open_tick = None
+
+    def _check_who_goes(self, message: Leaving | Goodbye, what: str) -> None:
         if message.name != self.invitation.name:
             raise Refused(Reason.ARM, "name", message.name, self.invitation.name)
         if message.lease != self.lease:
             raise Refused(Reason.LEASE, "lease", message.lease, self.lease)
         if (self.phase, Event.SAID_GOODBYE) not in TRANSITIONS:
-            raise Refused(Reason.PHASE, "goodbye", f"one while {self.phase}", "an agent that is in")
-        self._move(Event.SAID_GOODBYE)
-        self.open_tick = None
+            raise Refused(Reason.PHASE, what, f"one while {self.phase}", "an agent that is in")
 
     def state(self) -> dict[str, Any]:
         """What a simulator that is started again must know of this agent, in plain values."""

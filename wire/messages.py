@@ -82,8 +82,9 @@ class State(Struct, frozen=True, gc=False):
     grip_m: float
     """How far the fingers of its hand are open, m."""
     odometry: Six
-    """Only while the hand is empty: the base's x, y, yaw since its welcome, in the frame in which it stood then, and
-    its velocity in its present frame B: (6,) m, rad and m/s, rad/s. Else zeros: who carries feels no place."""
+    """Only while the hand is empty: the base's x, y, yaw since its welcome or since the hand opened, whichever was
+    later, in the frame in which it stood then, and its velocity in its present frame B: (6,) m, rad and m/s, rad/s.
+    Else zeros: who carries feels no place."""
 
 
 class Command(Struct, frozen=True, gc=False):
@@ -129,6 +130,14 @@ class LeaderForce(Struct, frozen=True, gc=False):
     """Name of the point of the load that the force acts at."""
     force: Three
     """(3,) N, world frame."""
+
+
+class Leaving(Struct, frozen=True, gc=False):
+    """An agent begins to leave: it stays in and answers on while it puts down what it carries, and says goodbye when it
+    stands clear (query on its ``hello`` key; the reply is the same message, or a :class:`Refusal`)."""
+
+    name: str
+    lease: int
 
 
 class Goodbye(Struct, frozen=True, gc=False):
@@ -197,6 +206,7 @@ Message = (
     | Command
     | LeaderView
     | LeaderForce
+    | Leaving
     | Goodbye
     | End
     | Progress
