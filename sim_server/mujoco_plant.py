@@ -5,7 +5,6 @@ Motor torques and base forces go into ``qfrc_applied``; the leader's pull into `
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NoReturn
@@ -15,6 +14,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
+from sim_server.bases import Bases
 from sim_server.disturbances import Disturbances
 from sim_server.errors import PlantFailed
 from sim_server.grasping import Grasping
@@ -83,7 +83,7 @@ class MujocoPlant:
             np.array([self._static_torque(ids, share) for ids, share in zip(arms, fair_shares(world), strict=True)]),
             np.array(limits.torque_Nm),
             limits.torque_rate_Nm_s,
-            np.array([base.force_max_N, base.force_max_N, base.torque_max_Nm]),
+            np.zeros(3) if base.fixed else np.array([base.force_max_N, base.force_max_N, base.torque_max_Nm]),
             noise.delay_ticks,
         )
         self._pull_lever = np.zeros(3)
@@ -106,9 +106,7 @@ class MujocoPlant:
         self._row = {name: row for row, name in enumerate(self._names)}
         self._arm_dofs = _indices([ids.arm_dof for ids in arms])
         self._arm_qpos = _indices([ids.arm_qpos for ids in arms])
-        self._base_dofs = _indices([ids.base_dof for ids in arms])
-        self._flat_base_dofs = self._base_dofs.ravel()
-        self._base_qpos = _indices([ids.base_qpos for ids in arms])
+        self._bases = Bases(arms)
         self._sensors = np.hstack(
             [_indices([ids.force_sensor for ids in arms]), _indices([ids.torque_sensor for ids in arms])]
         )
@@ -303,8 +301,8 @@ class MujocoPlant:
             self._qfrc_bias[self._arm_dofs],
             q[self._arm_qpos],
             qd[self._arm_dofs],
-            q[self._base_qpos],
-            qd[self._base_dofs],
+            self._bases.places(q),
+            self._bases.rates(qd),
         )
 
     def _fail(self) -> NoReturn:
@@ -318,12 +316,7 @@ class MujocoPlant:
     def _apply_efforts(self, substep: int = 0) -> None:
         applied, drivers = self._qfrc_applied, self._drivers
         applied[self._arm_dofs] = drivers.torque
-        forces: list[float] = []  # in plain numbers: for a handful of bases numpy takes twice as long
-        yaws = self._qpos[self._base_qpos[:, 2]].tolist()
-        for yaw, (x, y, turn) in zip(yaws, drivers.base_force.tolist(), strict=True):
-            c, s = math.cos(yaw), math.sin(yaw)
-            forces += (c * x - s * y, s * x + c * y, turn)
-        applied[self._flat_base_dofs] = forces
+        self._bases.drive(applied, self._qpos, drivers.base_force)
         self._load_force[:] = self._pull_force
         self._load_torque[:] = _cross((self._R_WO @ self._pull_lever).tolist(), self._pull_force.tolist())
         self.disturbances.apply(self.tick * self._substeps + substep)
@@ -388,8 +381,8 @@ class MujocoPlant:
             [
                 data.qpos[self._arm_qpos],
                 data.qvel[self._arm_dofs],
-                data.qpos[self._base_qpos],
-                data.qvel[self._base_dofs],
+                self._bases.places(data.qpos),
+                self._bases.rates(data.qvel),
             ]
         )
         return [load.position, load.quat_wxyz, load.linear_velocity, load.angular_velocity], arms

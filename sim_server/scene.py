@@ -34,16 +34,18 @@ def compile_scene(
     pedestal_m: float,
     differences: Mapping[str, ArmDifferences],
     seats: Mapping[str, int],
+    fixed: Mapping[str, Pose],
 ) -> Any:
     """Compiled model. The load stands at ``X_WO``; each arm of ``differences`` is welded to its strut (from 0).
 
-    The robots are still at the origin: write their joints into the data's ``qpos``, then :func:`refresh`.
+    Robots whose bases are fixed stand there, at ``X_WB``; the others are still at the origin: write their joints into
+    the data's ``qpos``, then :func:`refresh`.
     """
     spec = _scene(scenario)
     _add_load(spec, load, X_WO)
     for name, different in differences.items():
         accent = ACCENTS[arm_number(name) % len(ACCENTS)]
-        _add_robot(spec, name, scenario.team.arm, scenario.base, pedestal_m, accent, different)
+        _add_robot(spec, name, scenario.team.arm, scenario.base, pedestal_m, accent, different, fixed.get(name))
         _add_weld(spec, name, f"grasp{seats[name] + 1}")
     spec.compiler.discardvisual = True  # nine of ten geoms are for the eye only; the physics is the same to the bit
     return spec.compile()
@@ -165,15 +167,19 @@ def _add_load(spec: Any, load: LoadBody, X_WO: Pose) -> None:
 
 
 def _add_robot(
-    spec: Any, name: str, arm: str, base: Base, pedestal: float, accent: Colour, differences: ArmDifferences
+    spec: Any,
+    name: str,
+    arm: str,
+    base: Base,
+    pedestal: float,
+    accent: Colour,
+    differences: ArmDifferences,
+    fixed_at: Pose | None,
 ) -> None:
-    # The body stays at the world's origin, so that the slide axes are the world's and qpos is the base's pose.
-    body = spec.worldbody.add_body(name=f"{name}/base")
-    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-    rolling, turning = [base.rolling_resistance_Ns_m, 0, 0], [base.yaw_resistance_Nms_rad, 0, 0]
-    body.add_joint(name=f"{name}/base_x", type=slide, axis=[1, 0, 0], damping=rolling)
-    body.add_joint(name=f"{name}/base_y", type=slide, axis=[0, 1, 0], damping=rolling)
-    body.add_joint(name=f"{name}/base_yaw", type=hinge, axis=[0, 0, 1], damping=turning)
+    if fixed_at is not None:
+        body = spec.worldbody.add_body(name=f"{name}/base", pos=fixed_at.p, quat=quat_wxyz(fixed_at.R))
+    else:
+        body = _add_rolling_base(spec, name, base)
     body.explicitinertial = True
     body.mass, body.ipos = base.mass_kg, [0, 0, 0.15]
     izz = base.yaw_inertia_kg_m2
@@ -190,6 +196,17 @@ def _add_robot(
     child.add_sensor(name="wrist_force", type=mujoco.mjtSensor.mjSENS_FORCE, objtype=site, objname="wrist")
     child.add_sensor(name="wrist_torque", type=mujoco.mjtSensor.mjSENS_TORQUE, objtype=site, objname="wrist")
     spec.attach(child, prefix=f"{name}/", frame=body.add_frame(pos=[0, 0, pedestal]))
+
+
+def _add_rolling_base(spec: Any, name: str, base: Base) -> Any:
+    # The body stays at the world's origin, so that the slide axes are the world's and qpos is the base's pose.
+    body = spec.worldbody.add_body(name=f"{name}/base")
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    rolling, turning = [base.rolling_resistance_Ns_m, 0, 0], [base.yaw_resistance_Nms_rad, 0, 0]
+    body.add_joint(name=f"{name}/base_x", type=slide, axis=[1, 0, 0], damping=rolling)
+    body.add_joint(name=f"{name}/base_y", type=slide, axis=[0, 1, 0], damping=rolling)
+    body.add_joint(name=f"{name}/base_yaw", type=hinge, axis=[0, 0, 1], damping=turning)
+    return body
 
 
 def _apply(arm: Any, differences: ArmDifferences) -> None:

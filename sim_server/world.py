@@ -33,6 +33,8 @@ class ArmIds:
         name: ``a1`` ...
         strut: number of the strut it holds, or is to take, from 0; its site is ``grasp_site``.
         base_qpos, base_dof: x, y [m], yaw [rad] of the base in the world: ``data.qpos[base_qpos]`` is the base's pose.
+            Nothing for a base that is fixed: ask :mod:`sim_server.bases`.
+        fixed_at: x, y, yaw of a base that is fixed, (3,); None for one that rolls.
         arm_qpos, arm_dof: the 7 joints of the arm. Motor torque: ``data.qfrc_applied[arm_dof]``.
         force_sensor, torque_sensor: 3 numbers each in ``data.sensordata``: what the arm's flange exerts on the hand
             (and so on all that the hand holds), at the wrist, in the wrist's axes [N], [N m].
@@ -47,6 +49,7 @@ class ArmIds:
     strut: int
     base_qpos: slice
     base_dof: slice
+    fixed_at: Array | None
     arm_qpos: slice
     arm_dof: slice
     force_sensor: slice
@@ -127,12 +130,13 @@ def build_world(scenario: Scenario, seats: Mapping[str, int] | None = None) -> W
     bases = [X_WO.compose(X_OB) for X_OB in base_poses(scenario.load, X_BS)]
 
     differences = {name: draw_differences(scenario.plant, scenario.seed, arm_number(name)) for name in seats}
-    model = compile_scene(scenario, load, X_WO, pedestal, differences, seats)
+    fixed = {name: bases[strut] for name, strut in seats.items()} if scenario.base.fixed else {}
+    model = compile_scene(scenario, load, X_WO, pedestal, differences, seats, fixed)
     data = new_data(model)
-    arms = {name: _arm_ids(model, name, strut, differences[name]) for name, strut in seats.items()}
+    arms = {name: _arm_ids(model, name, strut, differences[name], fixed.get(name)) for name, strut in seats.items()}
     for ids in arms.values():
-        X_WB = bases[ids.strut]
-        data.qpos[ids.base_qpos] = X_WB.p[0], X_WB.p[1], X_WB.yaw
+        if ids.fixed_at is None:
+            data.qpos[ids.base_qpos] = planar(bases[ids.strut])
         data.qpos[ids.arm_qpos] = q_home
     refresh(model, data)
     joint = model.joint("load")
@@ -185,15 +189,22 @@ def with_robots(world: World, seats: Mapping[str, int], model: Any) -> Generator
     )
 
 
-def _arm_ids(model: Any, name: str, strut: int, differences: ArmDifferences) -> ArmIds:
-    base, first = model.joint(f"{name}/base_x"), model.joint(f"{name}/joint1")
+def planar(X_WB: Pose) -> Array:
+    """x, y, yaw of a base, (3,)."""
+    return np.array([X_WB.p[0], X_WB.p[1], X_WB.yaw])
+
+
+def _arm_ids(model: Any, name: str, strut: int, differences: ArmDifferences, fixed_at: Pose | None = None) -> ArmIds:
+    first = model.joint(f"{name}/joint1")
+    base = None if fixed_at else model.joint(f"{name}/base_x")
     joints = [model.joint(f"{name}/joint{k}").id for k in range(1, JOINTS + 1)]
     force, torque = model.sensor(f"{name}/wrist_force"), model.sensor(f"{name}/wrist_torque")
     return ArmIds(
         name=name,
         strut=strut,
-        base_qpos=_run(base.qposadr[0], 3),
-        base_dof=_run(base.dofadr[0], 3),
+        base_qpos=slice(0, 0) if base is None else _run(base.qposadr[0], 3),
+        base_dof=slice(0, 0) if base is None else _run(base.dofadr[0], 3),
+        fixed_at=None if fixed_at is None else planar(fixed_at),
         arm_qpos=_run(first.qposadr[0], JOINTS),
         arm_dof=_run(first.dofadr[0], JOINTS),
         force_sensor=_run(force.adr[0], 3),

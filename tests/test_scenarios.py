@@ -230,6 +230,26 @@ BAD: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "load.size_m",
         ("pedestal", "at most 0.8 m"),
     ),
+    "fixed_base_and_a_leader_that_pulls_far": (
+        extending("[base]\nfixed = true"),
+        "leader.goal_m",
+        ("2 m", "base.fixed = true", "at most 0.2 m"),
+    ),
+    "fixed_base_and_a_stop_that_is_far": (
+        extending(
+            "[base]\nfixed = true\n[leader]\ngoal_m = [0.1, 0.0]\nstops = [{ goal_m = [0.0, 0.3], until_s = 1.0 }]"
+        ),
+        "leader.goal_m",
+        ("0.3 m from the start",),
+    ),
+    "fixed_base_and_a_robot_that_comes": (
+        "extends = 'hold'\n[base]\nfixed = true\n[team]\ncount = 3\n"
+        "[[events]]\nat_s = 5.0\nkind = 'join'\narm = 'a5'\nstrut = 4",
+        "events.0.kind",
+        ("'join'", "base.fixed = true"),
+    ),
+    "fixed_is_no_yes_or_no": (extending("[base]\nfixed = 'yes, please'"), "base.fixed", ("boolean",)),
+    "block_for_several_hands": (extending("[load]\nshape = 'block'"), "load.struts", ("4", "expected 1")),
     "extends_nobody": ("extends = 'tranport'", "extends", ("'tranport'", "Did you mean transport?")),
     "extends_itself": ("extends = 'mine'", "extends", ("circle",)),
     "extends_itself_by_a_detour": ("extends = './mine'", "extends", ("circle",)),
@@ -282,6 +302,16 @@ def test_bad_input_ends_the_command_with_status_2_and_leaves_nothing_behind(what
         assert words in line
     assert ended.returncode == 2
     assert ended.stdout == ""
+    assert list(tmp_path.rglob("*")) == [path]
+
+
+@pytest.mark.system
+def test_a_gain_that_cannot_be_ends_the_command_with_file_key_got_and_expected(tmp_path: Path) -> None:
+    path = written(tmp_path, extending("[team.gains]\nreference = 'cosine'"))
+    ended = run_to_end("run", path, cwd=tmp_path)
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("palanquin: mine.toml: team.gains.reference: Input should be 'none' or 'sine'; got 'cosine'")
+    assert ended.returncode == 2
     assert list(tmp_path.rglob("*")) == [path]
 
 
