@@ -12,6 +12,7 @@ from processes import free_port, run_to_end
 from sim_server.errors import ScenarioError
 from sim_server.metrics import METRICS
 from sim_server.scenario import Scenario
+from sim_server.scenario_events import Push
 from sim_server.scenario_files import load_scenario, shipped_names
 from sim_server.server import check_world
 
@@ -62,6 +63,31 @@ def test_fixed_stiffness_is_the_same_carry_but_for_the_stiffness() -> None:
         del each["team"]["gains"]
         del each["expect"]["sag_max_mm"]  # the one thing that is expected to differ
     assert adaptive == fixed
+
+
+def test_the_trajectory_with_fixed_stiffness_is_the_same_but_for_the_stiffness() -> None:
+    adaptive, fixed = (load_scenario(name).scenario for name in ("trajectory", "trajectory-fixed-stiffness"))
+    assert fixed.team.gains == {**adaptive.team.gains, "adaptive": False}
+    same = {"description", "team"}
+    assert adaptive.model_dump(exclude=same) == fixed.model_dump(exclude=same)
+    assert adaptive.model_dump()["team"] | {"gains": {}} == fixed.model_dump()["team"] | {"gains": {}}
+    assert (adaptive.base.fixed, adaptive.leader, adaptive.load.mass_kg) == (True, None, 2.5)
+
+
+def test_the_pushed_carries_are_the_same_carry_but_for_a_push_of_two_seconds_in_the_plane() -> None:
+    plain = load_scenario("transport").scenario
+    for name, force, torque in (
+        ("transport-pushed", (0.0, 50.0, 0.0), (0.0, 0.0, 0.0)),
+        ("transport-pushed-along", (-50.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ("transport-twisted", (0.0, 0.0, 0.0), (0.0, 0.0, 20.0)),
+    ):
+        pushed = load_scenario(name).scenario
+        (event,) = pushed.events
+        assert isinstance(event, Push)
+        assert (event.arm, event.at_s, event.for_s, event.shape) == ("a2", 3.0, 2.0, "constant")
+        assert (event.force_N, event.torque_Nm) == (force, torque)
+        same = {"description", "events", "expect"}
+        assert pushed.model_dump(exclude=same) == plain.model_dump(exclude=same)
 
 
 def test_real_time_is_the_same_carry_but_for_the_clock() -> None:

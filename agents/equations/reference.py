@@ -5,7 +5,6 @@ Numbers or symbols (agents/tracing.py) alike.
 
 from __future__ import annotations
 
-from math import hypot, pi
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ def sine_reference(frequency_Hz: float, ramp_s: float, time_s: Any, share: Any) 
         time_s: since take-over, not negative.
         share: :func:`ramp_share` of it.
     """
-    w = 2.0 * pi * frequency_Hz
+    w = 2.0 * np.pi * frequency_Hz
     sine, sine_d = np.sin(w * time_s), w * np.cos(w * time_s)
     sine_dd = -(w * w) * sine
     if not ramp_s:
@@ -47,7 +46,7 @@ def tilted_axis(roll: float, pitch: float, swing: Any) -> Array:
 
     Its angular velocity is exactly the swing's rate times (roll, pitch, 0): the task velocity that goes with it.
     """
-    amplitude = hypot(roll, pitch)
+    amplitude = float(np.hypot(roll, pitch))
     if not amplitude:
         return np.array([0.0, 0.0, 1.0])
     sine = np.sin(amplitude * swing)
