@@ -67,7 +67,7 @@ class MujocoPlant:
         """All robots that are or were there; of those that have gone only the strut and the differences still mean
         anything."""
         self._bind(world)
-        noise = scenario.plant
+        noise = scenario.plant.scaled
         sigma = np.repeat(
             [
                 noise.position_noise_rad,

@@ -143,8 +143,33 @@ class Plant(Section):
     torque_noise_Nm: NotNegative = 0.05
     wrench_noise_N: NotNegative = 0.2
     wrench_noise_Nm: NotNegative = 0.02
+    difference_scale: NotNegative = 1.0
+    """Factor on all the differences and noises above: 0 for a world that is as the agents believe, 3 for one that is
+    three times as different. The draws stay the same."""
+    start_offset_m: Annotated[float, Field(strict=True, ge=0, le=0.05, allow_inf_nan=False)] = 0.0
+    """The load with its team, and each base under its hand, start up to this far off along x and y (uniform)."""
+    start_yaw_rad: Annotated[float, Field(strict=True, ge=0, le=0.2, allow_inf_nan=False)] = 0.0
+    """And turned by up to this."""
     delay_ticks: Annotated[int, Field(strict=True, ge=0, le=100)] = 0
     """Ticks between an agent's answer and the motor driver that obeys it."""
+
+    @property
+    def scaled(self) -> Plant:
+        """The same with its factor worked in."""
+        return self.model_copy(update={name: getattr(self, name) * self.difference_scale for name in SCALED})
+
+
+SCALED = (
+    "link_mass_error",
+    "joint_damping_Nms_rad",
+    "joint_friction_Nm",
+    "position_noise_rad",
+    "velocity_noise_rad_s",
+    "torque_noise_Nm",
+    "wrench_noise_N",
+    "wrench_noise_Nm",
+)
+"""What ``plant.difference_scale`` scales."""
 
 
 class Record(Section):
@@ -211,6 +236,12 @@ class Scenario(Section):
             raise ValueError(
                 f"leader.period_ms: {self.leader.period_ms} is not a multiple of "
                 f"clock.control_period_ms = {self.clock.control_period_ms}"
+            )
+        if self.plant.scaled.link_mass_error >= 1:
+            raise ValueError(
+                f"plant.difference_scale: {self.plant.difference_scale:g} times link_mass_error = "
+                f"{self.plant.link_mass_error:g} is {self.plant.scaled.link_mass_error:g}: expected less than 1, "
+                "which is all of a mass"
             )
         if self.load.shape == "block" and self.load.struts != 1:
             raise ValueError(f"load.struts: {self.load.struts}, but one hand holds a block: expected 1")

@@ -240,6 +240,14 @@ def locate(model: Any, data: Any) -> None:
     mujoco.mj_kinematics(model, data)
 
 
+def site_jacobian(model: Any, data: Any, site: int) -> Array:
+    """Jacobian of a site where :func:`locate` has put it, rows [v; w] in the world's axes, (6, nv)."""
+    mujoco.mj_comPos(model, data)
+    J = np.zeros((6, model.nv))
+    mujoco.mj_jacSite(model, data, J[:3], J[3:], site)
+    return J
+
+
 def rotation(data: Any, site: int) -> Array:
     """The axes of a site in the world, (3, 3)."""
     R: Array = data.site_xmat[site].reshape(3, 3)

@@ -23,6 +23,7 @@ from sim_server.loads import load_body
 from sim_server.robots import R_SE, home, pedestal_height_m
 from sim_server.scenario import LoadPoint, Scenario, arm_number
 from sim_server.scene import compile_scene, new_data, refresh, tool_pose
+from sim_server.start import displaced_base, displaced_load, reach_struts
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,18 +127,21 @@ def build_world(scenario: Scenario, seats: Mapping[str, int] | None = None) -> W
     level = strut_level_m(scenario.load)
     pedestal = pedestal_height_m(level, float(X_AE.p[2]))
     X_BS = Pose.planar(0, 0, pedestal).compose(X_AE).compose(Pose(np.zeros(3), R_SE.T))
-    X_WO = Pose.planar(0, 0, float(X_BS.p[2]) - level)
-    bases = [X_WO.compose(X_OB) for X_OB in base_poses(scenario.load, X_BS)]
+    X_WO = displaced_load(scenario, Pose.planar(0, 0, float(X_BS.p[2]) - level))
+    X_OB = base_poses(scenario.load, X_BS)
+    bases = {name: displaced_base(scenario, name, X_WO.compose(X_OB[strut])) for name, strut in seats.items()}
 
     differences = {name: draw_differences(scenario.plant, scenario.seed, arm_number(name)) for name in seats}
-    fixed = {name: bases[strut] for name, strut in seats.items()} if scenario.base.fixed else {}
+    fixed = bases if scenario.base.fixed else {}
     model = compile_scene(scenario, load, X_WO, pedestal, differences, seats, fixed)
     data = new_data(model)
     arms = {name: _arm_ids(model, name, strut, differences[name], fixed.get(name)) for name, strut in seats.items()}
     for ids in arms.values():
         if ids.fixed_at is None:
-            data.qpos[ids.base_qpos] = planar(bases[ids.strut])
+            data.qpos[ids.base_qpos] = planar(bases[ids.name])
         data.qpos[ids.arm_qpos] = q_home
+    if scenario.plant.start_offset_m or scenario.plant.start_yaw_rad:
+        reach_struts(model, data, ((ids.tcp_site, ids.grasp_site, ids.arm_qpos, ids.arm_dof) for ids in arms.values()))
     refresh(model, data)
     joint = model.joint("load")
     return World(
