@@ -21,6 +21,19 @@ class ControllerError(AgentError):
     """The cause, if there is one, was raised by somebody's own controller."""
 
 
+class GainError(ControllerError):
+    """A gain is not what its law takes.
+
+    Attributes:
+        key: its name.
+        problem: what is wrong, without controller and key.
+    """
+
+    def __init__(self, controller: str, key: str, problem: str) -> None:
+        self.key, self.problem = key, problem
+        super().__init__(f"controller {controller}: gain {key}: {problem}")
+
+
 class NotWelcome(AgentError):
     """The simulator refused to let this agent in."""
 

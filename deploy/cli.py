@@ -268,6 +268,19 @@ def metrics(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run fo
 
 
 @app.command()
+def render(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
+    time_s: Annotated[float, typer.Option("--time-s", min=0.0, help="Simulated time of the moment.")] = 0.0,
+    out: Annotated[Path, typer.Option(help="The PNG.")] = Path("still.png"),
+) -> None:
+    """Draw a still of a run, rendered off-screen from its trace."""
+    from deploy.rendering import render_still
+
+    render_still(folder, time_s, out)
+    print(out)
+
+
+@app.command()
 def audit(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]) -> None:
     """Say who heard what in a run, and whether any key reached two agents."""
     from deploy.audit_report import print_audit

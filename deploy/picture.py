@@ -39,6 +39,8 @@ def draw_run(folder: Path) -> Path:
     _height(axes[0, 1], trace)
     _attitude(axes[1, 0], trace)
     _grips(axes[1, 1], trace, facts["arms"])
+    for axis in (axes[0, 1], axes[1, 0], axes[1, 1]):
+        _shade(axis, trace, facts["arms"])
     figure.suptitle(f"{run['scenario_name']}, seed {run['seed']}: {run['scenario']['description']}", fontsize=10)
     file = folder / PICTURE
     figure.savefig(file, dpi=110)
@@ -67,6 +69,15 @@ def _path(axes: Axes, trace: Trace, facts: dict[str, object], size: list[float])
     axes.set_adjustable("datalim")
     axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=7)
     axes.grid(alpha=0.3)
+
+
+def _shade(axes: Axes, trace: Trace, arms: list[str]) -> None:
+    """Grey where something disturbed the load or a hand."""
+    parts = [trace[name] for name in ("load.disturbance", *(f"{arm}.disturbance" for arm in arms)) if name in trace]
+    disturbed = np.any([np.nan_to_num(part).any(axis=1) for part in parts], axis=0)
+    if np.any(disturbed):
+        across = axes.get_xaxis_transform()
+        axes.fill_between(trace["time_s"], 0.0, 1.0, where=disturbed, transform=across, color="#000000", alpha=0.08)
 
 
 def _arms(facts: dict[str, object]) -> list[str]:

@@ -11,13 +11,15 @@ from rich.console import Console
 
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
+from agents.errors import GainError
 from deploy.exit_status import COULD_NOT_RUN, fail
 from deploy.guard import Interrupted
 from deploy.launcher import Launcher, everybody
 from deploy.report import PatientConsole, print_metrics, progress_display
 from deploy.settings import scenario_changes
+from sim_server.errors import ScenarioError
 from sim_server.run_folder import METRICS, compute_metrics
-from sim_server.scenario_files import load_scenario
+from sim_server.scenario_files import NamedScenario, load_scenario
 from sim_server.server import check_world, default_folder
 from wire.access import Role
 from wire.credentials import for_one_run
@@ -41,9 +43,8 @@ def run_scenario(
         arguments += ["--set", setting]
     arguments += ["--", scenario]
     named = load_scenario(scenario, scenario_changes(seed, settings))
-    team = named.scenario.team
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
-    make_controller(team.controller, ArmModel(team.arm), team.gains)
+    _check_controller(named)
     check_world(named)
     folder = (out or default_folder(Path("runs"), named.name)).absolute()
     console = PatientConsole()
@@ -68,6 +69,15 @@ def run_scenario(
     finally:
         launcher.end_all()
     return _conclude(console, folder, status, problem, picture=picture)
+
+
+def _check_controller(named: NamedScenario) -> None:
+    """Make the law once, to see that it can be. Raises :class:`ScenarioError` for a gain, with file and key."""
+    team = named.scenario.team
+    try:
+        make_controller(team.controller, ArmModel(team.arm), team.gains)
+    except GainError as error:
+        raise ScenarioError(Path(named.source).name, f"team.gains.{error.key}", error.problem) from None
 
 
 def _conclude(console: Console, folder: Path, status: int, problem: str, *, picture: bool) -> int:

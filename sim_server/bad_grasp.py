@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from sim_server.layout import Array
 from sim_server.scenario import arm_number
 from sim_server.snapshot import Snapshot, fill, random_state, set_random_state
 from sim_server.world import World
@@ -40,10 +41,10 @@ class BadGrasp:
         """The world has other robots now; this hand goes on holding badly."""
         self._world, self._ids = world, world.arms[self._ids.name]
 
-    def push(self, dt_s: float) -> None:
-        """Add this step's spurious force to the load at the grasp, and its opposite to the hand.
+    def push(self, dt_s: float) -> Array:
+        """Add this step's spurious force to the load at the grasp, and its opposite to the hand; the force, (3,) N.
 
-        Call after the load's other forces are written: this adds to them.
+        Call after the other forces on both are written: this adds to them.
         """
         keep = math.exp(-dt_s / FORCE_MEMORY_S)
         self._force *= keep
@@ -53,8 +54,9 @@ class BadGrasp:
         load, hand = self._world.load_body, ids.hand_body
         data.xfrc_applied[load, :3] += self._force
         data.xfrc_applied[load, 3:] += np.cross(point - data.xipos[load], self._force)
-        data.xfrc_applied[hand, :3] = -self._force
-        data.xfrc_applied[hand, 3:] = np.cross(point - data.xipos[hand], -self._force)
+        data.xfrc_applied[hand, :3] -= self._force
+        data.xfrc_applied[hand, 3:] -= np.cross(point - data.xipos[hand], self._force)
+        return self._force
 
     def end(self) -> None:
         """No force any more, and a good grasp the next time; the weld is the plant's to open."""

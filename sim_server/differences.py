@@ -36,6 +36,7 @@ def draw_differences(plant: Plant, seed: int, arm_index: int) -> ArmDifferences:
     Every draw is made whatever the settings, so switching one difference off leaves the others as they were.
     """
     rng = np.random.default_rng([seed, STREAM, arm_index])
+    plant = plant.scaled
     links = rng.uniform(-1, 1, JOINTS + 1)
     damping, friction = rng.uniform(0.5, 1.5, (2, JOINTS))
     return ArmDifferences(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_server.bases import base_place, base_rate
 from sim_server.grips import grip_wrenches
 from sim_server.hands import OPEN_M, Hand, would_hold
 from sim_server.layout import STRUT_SIDE_M, Array, Pose
@@ -58,7 +59,7 @@ class Grasping:
     def feel(self, arm: str) -> tuple[float, Vector]:
         """Opening m and odometry (6,) of an empty hand's robot."""
         hand, ids = self.empty[arm], self._world.arms[arm]
-        return hand.opening_m, hand.odometry(self._base(arm), self._world.data.qvel[ids.base_dof])
+        return hand.opening_m, hand.odometry(self._base(arm), base_rate(ids, self._world.data))
 
     def want(self, arm: str, grip_m: float) -> bool:
         """The agent wants its fingers so far open; whether that means that a hand that holds lets go."""
@@ -146,8 +147,7 @@ class Grasping:
         self.force_max_N = float(saved["force_max_N"])
 
     def _base(self, arm: str) -> Array:
-        base: Array = self._world.data.qpos[self._world.arms[arm].base_qpos].copy()
-        return base
+        return base_place(self._world.arms[arm], self._world.data)
 
     def _holding_pose(self, arm: str) -> Pose:
         """Pose in the world of a hand that holds this arm's strut squarely."""

@@ -13,7 +13,7 @@ from sim_server.lockstep import Ticker
 from sim_server.newcomers import CannotCome
 from sim_server.process_deeds import ProcessDeeds, Undone, undone
 from sim_server.reception import Reception, Report
-from sim_server.scenario_events import AnyEvent, FailGrasp, Join, in_order
+from sim_server.scenario_events import AnyEvent, FailGrasp, Join, Push, in_order
 from sim_server.snapshot import Snapshot, SnapshotError
 from sim_server.world_builder import NotBuilt
 from wire.link import Publisher
@@ -29,6 +29,12 @@ class Hands(Protocol):
     grasped: list[Closing]
 
     def holds(self, arm: str) -> bool: ...
+
+
+class Pushes(Protocol):
+    """What has become of the pushes since it was last looked at."""
+
+    news: list[tuple[Push, str]]
 
 
 class Arrivals(Protocol):
@@ -56,6 +62,14 @@ class Plant(Protocol):
 
     @property
     def hands(self) -> Hands: ...
+
+    @property
+    def disturbances(self) -> Pushes: ...
+
+    @property
+    def names(self) -> list[str]: ...
+
+    def push(self, event: Push) -> None: ...
 
     def loosen(self, arm: str, force_N: float) -> None: ...
 
@@ -107,7 +121,10 @@ class Happenings:
 
     def before(self, tick: int) -> None:
         """Do what is due before this tick. Raises :class:`Undone`, and :class:`sim_server.lockstep.Stopped`."""
-        hands = self._plant.hands
+        hands, news = self._plant.hands, self._plant.disturbances.news
+        while news:
+            push, effect = news.pop(0)
+            self._report("seen", event=push.kind, **_target(push), effect=effect)
         while hands.opened:
             self._report("hand_opened", agent=hands.opened.pop(0))
         while hands.grasped:
@@ -130,6 +147,11 @@ class Happenings:
                     self._let_come(event)
                 else:
                     self._late.append((time.monotonic() + self._start_s, event))
+            elif isinstance(event, Push):
+                self._report("ordered", event=event.kind, **_target(event))
+                if event.arm is not None and event.arm not in self._plant.names:
+                    raise undone(event, "its robot is not there")
+                self._plant.push(event)
             elif isinstance(event, FailGrasp):
                 self._report("ordered", event=event.kind, agent=event.arm)
                 if not hands.holds(event.arm):
@@ -262,3 +284,8 @@ class Happenings:
 
     def _is_unforeseen(self, event: Join) -> bool:
         return event.arm in self._unforeseen
+
+
+def _target(push: Push) -> dict[str, str]:
+    """Whom a push is on, for the events."""
+    return {"point": push.point or "centre_of_mass"} if push.arm is None else {"agent": push.arm}

@@ -93,8 +93,11 @@ class Split:
 
 
 def strut_level_m(load: Load) -> float:
-    """Height of the grasp points above O [m]: under a table's top, at 2/3 of a crate, or on the handle."""
+    """Height of the grasp points above O [m]: under a table's top, at 2/3 of a crate, at a block's middle, or on the
+    handle."""
     height = load.size_m[2]
+    if load.shape == "block":
+        return height / 2
     if load.struts == 1:
         return height + HANDLE_ABOVE_M
     if load.shape == "crate":
@@ -105,11 +108,11 @@ def strut_level_m(load: Load) -> float:
 def strut_poses(load: Load) -> list[Pose]:
     """Poses ``X_OS`` of the load's struts; arm ``ak`` starts at strut k - 1.
 
-    One strut is a handle over the middle, the robot behind it: at the rim, the weight of even a small crate would take
-    the whole of a Panda's 12 N m wrist. Two are at the two ends, as on a stretcher. More are spread over the long
-    sides while neighbours stay ``EASY_SPACING_M`` apart, else over all four, symmetric left and right. The odd one
-    stands at the back, and those on the long sides move forward so that the mean of all grasp points is on the load's
-    middle: each bearer's fair share is then 1/N.
+    A block's one strut is its middle. Another load's only one is a handle over the middle, the robot behind it: at the
+    rim, the weight of even a small crate would take the whole of a Panda's 12 N m wrist. Two are at the two ends, as on
+    a stretcher. More are spread over the long sides while neighbours stay ``EASY_SPACING_M`` apart, else over all four,
+    symmetric left and right. The odd one stands at the back, and those on the long sides move forward so that the mean
+    of all grasp points is on the load's middle: each bearer's fair share is then 1/N.
 
     Order: the first is the farthest from the middle, the second opposite, and so on, so that a team smaller than the
     number of struts stands around the load, not on one side of it.

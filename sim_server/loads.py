@@ -58,8 +58,11 @@ def load_body(load: Load) -> LoadBody:
     moved by ``centre_of_mass_offset_m``; the inertia about the centre of mass stays, as if ballast had been moved.
     """
     struts = strut_poses(load)
-    parts = _table(load) if load.shape == "table" else _crate(load)
-    parts += _handle(load) if load.struts == 1 else _strut_bars(load, struts)
+    if load.shape == "block":
+        parts = [Part("box", load.size_m, Pose.planar(0, 0, load.size_m[2] / 2), STEEL, Touch.STRUT)]
+    else:
+        parts = _table(load) if load.shape == "table" else _crate(load)
+        parts += _handle(load) if load.struts == 1 else _strut_bars(load, struts)
     even = uniform_inertia(parts, load.mass_kg)
     inertia = replace(even, com=even.com + np.array(load.centre_of_mass_offset_m))
     return LoadBody(parts, inertia, struts, _points(load))

@@ -5,7 +5,6 @@ Motor torques and base forces go into ``qfrc_applied``; the leader's pull into `
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NoReturn
@@ -15,7 +14,8 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from sim_server.bad_grasp import BadGrasp
+from sim_server.bases import Bases
+from sim_server.disturbances import Disturbances
 from sim_server.errors import PlantFailed
 from sim_server.grasping import Grasping
 from sim_server.grips import grip_wrenches
@@ -24,6 +24,7 @@ from sim_server.motor_drivers import MotorDrivers
 from sim_server.new_world import carry_over, stand_outside
 from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.scenario import arm_number
+from sim_server.scenario_events import Push
 from sim_server.sensor_noise import SensorNoise
 from sim_server.snapshot import Snapshot, SnapshotError, fill
 from sim_server.unled_arms import Behaviour, Brake, Felt, LetDown, Limp, Release
@@ -59,13 +60,14 @@ class MujocoPlant:
         self._substeps = scenario.clock.control_period_ms // scenario.plant.physics_step_ms
         self._dt_s = scenario.plant.physics_step_ms / 1000
         limits, base, arms = arm_limits(scenario.team.arm), scenario.base, list(world.arms.values())
-        self._slipping: dict[str, BadGrasp] = {}
+        self.disturbances = Disturbances(world, self._dt_s)
         self.hands = Grasping(world)
+        self.tick = 0
         self.met: dict[str, ArmIds] = {}
         """All robots that are or were there; of those that have gone only the strut and the differences still mean
         anything."""
         self._bind(world)
-        noise = scenario.plant
+        noise = scenario.plant.scaled
         sigma = np.repeat(
             [
                 noise.position_noise_rad,
@@ -81,7 +83,7 @@ class MujocoPlant:
             np.array([self._static_torque(ids, share) for ids, share in zip(arms, fair_shares(world), strict=True)]),
             np.array(limits.torque_Nm),
             limits.torque_rate_Nm_s,
-            np.array([base.force_max_N, base.force_max_N, base.torque_max_Nm]),
+            np.zeros(3) if base.fixed else np.array([base.force_max_N, base.force_max_N, base.torque_max_Nm]),
             noise.delay_ticks,
         )
         self._pull_lever = np.zeros(3)
@@ -90,7 +92,6 @@ class MujocoPlant:
         self._see(self._data)
         self._stiffness: list[Numbers] = [(0.0,) * limits.joints for _ in arms]
         """As the agents report it, (N, n) N m/rad; made an array only where a row of the trace wants one."""
-        self.tick = 0
         mujoco.set_mju_user_warning(_ignore)
         self._apply_efforts()
         mujoco.mj_forward(self._model, self._data)
@@ -105,9 +106,7 @@ class MujocoPlant:
         self._row = {name: row for row, name in enumerate(self._names)}
         self._arm_dofs = _indices([ids.arm_dof for ids in arms])
         self._arm_qpos = _indices([ids.arm_qpos for ids in arms])
-        self._base_dofs = _indices([ids.base_dof for ids in arms])
-        self._flat_base_dofs = self._base_dofs.ravel()
-        self._base_qpos = _indices([ids.base_qpos for ids in arms])
+        self._bases = Bases(arms)
         self._sensors = np.hstack(
             [_indices([ids.force_sensor for ids in arms]), _indices([ids.torque_sensor for ids in arms])]
         )
@@ -128,8 +127,7 @@ class MujocoPlant:
         self._stiffness = [(0.0,) * gravity.shape[1] if row is None else self._stiffness[row] for row in rows]
         self._see(self._data)
         self.hands.move_to(world, arrived)
-        for bad in self._slipping.values():
-            bad.move_to(world)
+        self.disturbances.move_to(world)
         for name in arrived:
             self._drivers.leave_to(self._row[name], Brake())
         self._apply_efforts()
@@ -254,7 +252,11 @@ class MujocoPlant:
 
     def loosen(self, arm: str, force_N: float) -> None:
         """From now on this hand holds badly: softly, with spurious forces of this size per axis."""
-        self._slipping[arm] = BadGrasp(self.world, arm, force_N)
+        self.disturbances.loosen(arm, force_N)
+
+    def push(self, event: Push) -> None:
+        """A push on a hand or on the load begins with this tick."""
+        self.disturbances.begin(event, self.tick * self._substeps)
 
     def slip(self, arm: str) -> None:
         """This hand has slipped off. A gripper feels that it is empty, and its driver draws it back, whatever its agent
@@ -265,8 +267,7 @@ class MujocoPlant:
         """The hand lets go; nothing if it holds nothing."""
         if not self.hands.holds(arm):
             return
-        if bad := self._slipping.pop(arm, None):
-            bad.end()
+        self.disturbances.hand_opened(arm)
         self.hands.let_go(arm)
 
     def regain(self, arm: str) -> None:
@@ -279,20 +280,21 @@ class MujocoPlant:
         drivers.tick()
         if self.hands.empty:
             self.hands.move(self.tick, self._dt_s * self._substeps)
-        for _ in range(self._substeps):
+        for substep in range(self._substeps):
             if drivers.any_unled:
                 drivers.advance(self._dt_s, self._felt())
                 for row in drivers.newly_open():
                     self.open_hand(self._names[row])
             else:
                 drivers.advance(self._dt_s)
-            self._apply_efforts()
+            self._apply_efforts(substep)
             mujoco.mj_step(self._model, self._data)
         if np.count_nonzero(self._warnings):
             self._fail()
         if self.hands.closing:
             self.hands.watch(self.tick, self._dt_s * self._substeps)
         self.tick += 1
+        self.disturbances.settle(self.tick * self._substeps)
 
     def _felt(self) -> Felt:
         """What the drivers themselves feel."""
@@ -301,8 +303,8 @@ class MujocoPlant:
             self._qfrc_bias[self._arm_dofs],
             q[self._arm_qpos],
             qd[self._arm_dofs],
-            q[self._base_qpos],
-            qd[self._base_dofs],
+            self._bases.places(q),
+            self._bases.rates(qd),
         )
 
     def _fail(self) -> NoReturn:
@@ -313,19 +315,13 @@ class MujocoPlant:
             "delays drive it out of range"
         )
 
-    def _apply_efforts(self) -> None:
+    def _apply_efforts(self, substep: int = 0) -> None:
         applied, drivers = self._qfrc_applied, self._drivers
         applied[self._arm_dofs] = drivers.torque
-        forces: list[float] = []  # in plain numbers: for a handful of bases numpy takes twice as long
-        yaws = self._qpos[self._base_qpos[:, 2]].tolist()
-        for yaw, (x, y, turn) in zip(yaws, drivers.base_force.tolist(), strict=True):
-            c, s = math.cos(yaw), math.sin(yaw)
-            forces += (c * x - s * y, s * x + c * y, turn)
-        applied[self._flat_base_dofs] = forces
+        self._bases.drive(applied, self._qpos, drivers.base_force)
         self._load_force[:] = self._pull_force
         self._load_torque[:] = _cross((self._R_WO @ self._pull_lever).tolist(), self._pull_force.tolist())
-        for bad in self._slipping.values():
-            bad.push(self._dt_s)
+        self.disturbances.apply(self.tick * self._substeps + substep)
 
     def state(self) -> Snapshot:
         """Everything that the ticks after this one depend on, between two ticks."""
@@ -345,7 +341,7 @@ class MujocoPlant:
             "stiffness": np.array(self._stiffness),
             "pull_lever": self._pull_lever,
             "pull_force": self._pull_force,
-            "slipping": {arm: bad.state() for arm, bad in self._slipping.items()},
+            "disturbances": self.disturbances.state(),
         }
 
     def restore(self, saved: Snapshot) -> None:
@@ -363,11 +359,7 @@ class MujocoPlant:
         model, data = self._model, self._data
         integration = np.zeros(mujoco.mj_stateSize(model, INTEGRATION))
         fill(integration, saved["integration"])
-        self._slipping = {
-            arm: BadGrasp(self.world, arm, float(bad["force_N"])) for arm, bad in saved["slipping"].items()
-        }
-        for arm, bad in saved["slipping"].items():
-            self._slipping[arm].restore(bad)
+        self.disturbances.restore(saved["disturbances"])
         for name in GRASPS:  # after the bad grasps, which set theirs
             fill(getattr(model, name), saved["grasps"][name])
         mujoco.mj_setState(model, data, integration, INTEGRATION)
@@ -391,8 +383,8 @@ class MujocoPlant:
             [
                 data.qpos[self._arm_qpos],
                 data.qvel[self._arm_dofs],
-                data.qpos[self._base_qpos],
-                data.qvel[self._base_dofs],
+                self._bases.places(data.qpos),
+                self._bases.rates(data.qvel),
             ]
         )
         return [load.position, load.quat_wxyz, load.linear_velocity, load.angular_velocity], arms
@@ -410,11 +402,13 @@ class MujocoPlant:
                 arms[:, 2 * joints :],
                 drivers.base_force,
                 grip_wrenches(self.world),
+                self.disturbances.on_hands,
                 drivers.age_ticks[:, None],
             ]
         )
         tick = self.tick - 1
-        return [np.array([tick, tick * self._substeps * self._dt_s]), *load, self._pull_force, rows.ravel()]
+        time = np.array([tick, tick * self._substeps * self._dt_s])
+        return [time, *load, self._pull_force, self.disturbances.on_load, rows.ravel()]
 
 
 def fair_shares(world: World) -> Array:

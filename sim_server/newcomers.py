@@ -80,6 +80,8 @@ class Newcomers:
             promised: struts of those who are to come anyway.
         """
         struts, seats = self._scenario.load.struts, self._seats()
+        if self._scenario.base.fixed:
+            raise CannotCome(f"strut {strut + 1}: the bases of this scenario are fixed: nobody can drive to it")
         if not 0 <= strut < struts:
             raise CannotCome(f"strut {strut + 1}: the load has struts 1 to {struts}")
         self._check_free(strut, seats)

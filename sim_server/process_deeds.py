@@ -182,5 +182,5 @@ class ProcessDeeds:
 
 def undone(event: AnyEvent, problem: str) -> Undone:
     """The error for an event that was not done."""
-    agent = event.agent if isinstance(event, ProcessEvent) else event.arm
+    agent = event.agent if isinstance(event, ProcessEvent) else event.arm or "the load"
     return Undone(f"event {event.kind!r} of {agent} at {event.at_s:g} s was not done: {problem}")

@@ -84,6 +84,7 @@ def _facts(plant: MujocoPlant) -> dict[str, Any]:
         "goal_m": list(scenario.leader.goal_m) if scenario.leader else None,
         "load_mass_kg": world.load_mass,
         "centre_of_mass_m": world.load_com.tolist(),
+        "struts": {name: ids.strut for name, ids in plant.met.items()},
         "grasps_m": {name: world.struts[ids.strut].p.tolist() for name, ids in plant.met.items()},
         "torque_max_Nm": list(arm_limits(scenario.team.arm).torque_Nm),
         "differences": {

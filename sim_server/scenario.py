@@ -24,6 +24,9 @@ Offset = Annotated[float, Field(strict=True, ge=-100, le=100, allow_inf_nan=Fals
 
 REAL_TIME_PERIODS_MS = (1, 2, 4)
 
+FIXED_REACH_M = 0.2
+"""How far arms whose bases are fixed can be pulled, and still have some way to their limits."""
+
 WhenLost = Literal["limp", "brake", "release"]
 LoadPoint = Literal["centre", "front", "back", "left", "right"]
 
@@ -76,8 +79,9 @@ class Team(Section):
 class Load(Section):
     """The rigid load. Its frame O sits at the middle of its footprint on the level of its lowest point, x forward."""
 
-    shape: Literal["table", "crate"] = "table"
-    """``table``: top, four legs, struts under the top. ``crate``: a closed box, struts around its waist."""
+    shape: Literal["table", "crate", "block"] = "table"
+    """``table``: top, four legs, struts under the top. ``crate``: a closed box, struts around its waist. ``block``: a
+    solid box that one hand holds at its middle."""
     size_m: tuple[Size, Size, Size] = (1.6, 0.9, 0.75)
     """Length along x, width along y, height along z."""
     mass_kg: Mass = 20.0
@@ -114,6 +118,8 @@ class Leader(Section):
 class Base(Section):
     """The mobile base: planar, force-driven, pushed by whatever pushes the arm."""
 
+    fixed: bool = False
+    """Bolted to the floor: an arm on a stand."""
     mass_kg: Mass = 80.0
     yaw_inertia_kg_m2: Positive = 5.0
     rolling_resistance_Ns_m: NotNegative = 600.0
@@ -137,8 +143,33 @@ class Plant(Section):
     torque_noise_Nm: NotNegative = 0.05
     wrench_noise_N: NotNegative = 0.2
     wrench_noise_Nm: NotNegative = 0.02
+    difference_scale: NotNegative = 1.0
+    """Factor on all the differences and noises above: 0 for a world that is as the agents believe, 3 for one that is
+    three times as different. The draws stay the same."""
+    start_offset_m: Annotated[float, Field(strict=True, ge=0, le=0.05, allow_inf_nan=False)] = 0.0
+    """The load with its team, and each base under its hand, start up to this far off along x and y (uniform)."""
+    start_yaw_rad: Annotated[float, Field(strict=True, ge=0, le=0.2, allow_inf_nan=False)] = 0.0
+    """And turned by up to this."""
     delay_ticks: Annotated[int, Field(strict=True, ge=0, le=100)] = 0
     """Ticks between an agent's answer and the motor driver that obeys it."""
+
+    @property
+    def scaled(self) -> Plant:
+        """The same with its factor worked in."""
+        return self.model_copy(update={name: getattr(self, name) * self.difference_scale for name in SCALED})
+
+
+SCALED = (
+    "link_mass_error",
+    "joint_damping_Nms_rad",
+    "joint_friction_Nm",
+    "position_noise_rad",
+    "velocity_noise_rad_s",
+    "torque_noise_Nm",
+    "wrench_noise_N",
+    "wrench_noise_Nm",
+)
+"""What ``plant.difference_scale`` scales."""
 
 
 class Record(Section):
@@ -206,7 +237,16 @@ class Scenario(Section):
                 f"leader.period_ms: {self.leader.period_ms} is not a multiple of "
                 f"clock.control_period_ms = {self.clock.control_period_ms}"
             )
+        if self.plant.scaled.link_mass_error >= 1:
+            raise ValueError(
+                f"plant.difference_scale: {self.plant.difference_scale:g} times link_mass_error = "
+                f"{self.plant.link_mass_error:g} is {self.plant.scaled.link_mass_error:g}: expected less than 1, "
+                "which is all of a mass"
+            )
+        if self.load.shape == "block" and self.load.struts != 1:
+            raise ValueError(f"load.struts: {self.load.struts}, but one hand holds a block: expected 1")
         self._check_stops()
+        self._check_fixed()
         check_events(self.events, self.arms, self.leader is not None, self.duration_s, self.load.struts)
         return self
 
@@ -219,6 +259,22 @@ class Scenario(Section):
             if stop.until_s >= self.duration_s:
                 raise ValueError(f"{where}: {stop.until_s:g} s is not before the run's end at {self.duration_s:g} s")
             before_s = stop.until_s
+
+    def _check_fixed(self) -> None:
+        if not self.base.fixed:
+            return
+        for number, event in enumerate(self.events):
+            if isinstance(event, Join):
+                raise ValueError(
+                    f"events.{number}.kind: 'join', but base.fixed = true: no robot can drive to its strut"
+                )
+        places = [stop.goal_m for stop in self.leader.stops] + [self.leader.goal_m] if self.leader else []
+        farthest = max((math.hypot(*place) for place in places), default=0.0)
+        if farthest > FIXED_REACH_M:
+            raise ValueError(
+                f"leader.goal_m: {farthest:g} m from the start, but base.fixed = true: expected at most "
+                f"{FIXED_REACH_M:g} m, which the arms reach without their bases, or no leader"
+            )
 
     @property
     def ticks(self) -> int:

@@ -1,7 +1,7 @@
 """Events of a scenario file: what happens at a simulated time, to a process or in the simulated world.
 
 Process events really happen to processes: the launcher sends the signal or starts the process, and the clock stands
-until that is seen. Whether the events of one agent can follow each other so is checked before anything runs.
+until that is seen. Whether the events can happen so at all is checked before anything runs.
 """
 
 from __future__ import annotations
@@ -14,6 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field
 At = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Vector3 = tuple[Finite, Finite, Finite]
+
+LoadPlace = Literal["centre_of_mass", "centre", "front", "back", "left", "right"]
 
 Verb = Literal["kill", "stop", "continue", "start", "leave"]
 
@@ -61,8 +65,32 @@ class Join(_Event):
     """Number of the strut, from 1; arm ``ak`` of the team starts at strut k."""
 
 
-ScenarioEvent = Annotated[ProcessEvent | FailGrasp | Join, Field(discriminator="kind")]
-AnyEvent = ProcessEvent | FailGrasp | Join
+class Push(_Event):
+    """A disturbance from outside: a force and a torque on one arm's hand, or on the load, for a while.
+
+    ``constant``: as given. ``smooth``: each component swings within what is given, sines of several periods with phases
+    drawn from the seed, and comes and goes gently. ``abrupt``: each component jumps to values drawn within what is
+    given, and stays there for times drawn from the seed. See :mod:`sim_server.push_shapes`.
+    """
+
+    kind: Literal["push"]
+    arm: str | None = None
+    """Whose hand, at the tool centre; or else"""
+    point: LoadPlace | None = None
+    """a point of the load."""
+    for_s: Positive
+    force_N: Vector3 = (0.0, 0.0, 0.0)
+    """In the world's axes."""
+    torque_Nm: Vector3 = (0.0, 0.0, 0.0)
+    shape: Literal["constant", "smooth", "abrupt"] = "constant"
+    period_s: Positive | None = None
+    """``smooth``: of the slowest of its sines; 4 s if it is not given."""
+    hold_s: Annotated[float, Field(strict=True, ge=0.001, allow_inf_nan=False)] | None = None
+    """``abrupt``: mean time between two jumps; 0.5 s if it is not given."""
+
+
+ScenarioEvent = Annotated[ProcessEvent | FailGrasp | Join | Push, Field(discriminator="kind")]
+AnyEvent = ProcessEvent | FailGrasp | Join | Push
 
 _FOLLOWS: Mapping[Verb, tuple[Collection[str], str]] = {
     "kill": (("running", "stopped", "leaving"), "gone"),
@@ -101,6 +129,9 @@ def check_events(
                 raise ValueError(f"{where}.arm: the grasp of {event.arm} has failed before, and for good")
             slipped.add(event.arm)
             continue
+        if isinstance(event, Push):
+            _check_push(event, where, [name for name in process if name != "leader"], end_s)
+            continue
         if event.agent not in process:
             raise ValueError(f"{where}.agent: no agent {event.agent!r}; expected one of {', '.join(process)}")
         before, after = _FOLLOWS[event.kind]
@@ -110,6 +141,23 @@ def check_events(
                 f"{event.kind!r} expects it to be {' or '.join(before)}"
             )
         process[event.agent] = "running again" if event.kind == "continue" else after
+
+
+def _check_push(push: Push, where: str, arms: Collection[str], end_s: float) -> None:
+    if (push.arm is None) == (push.point is None):
+        got = "neither `arm` nor `point`" if push.arm is None else "both `arm` and `point`"
+        raise ValueError(f"{where}.arm: a push is on one arm's hand or on one point of the load; got {got}")
+    if push.arm is not None and push.arm not in arms:
+        raise ValueError(f"{where}.arm: no arm {push.arm!r} then; expected one of {', '.join(arms)}")
+    if not (any(push.force_N) or any(push.torque_Nm)):
+        raise ValueError(f"{where}.force_N: nothing pushes: expected a `force_N` or a `torque_Nm` that is not zero")
+    if push.at_s + push.for_s >= end_s:
+        raise ValueError(
+            f"{where}.for_s: the push ends at {push.at_s + push.for_s:g} s, not before the run's end at {end_s:g} s"
+        )
+    for key, value, shape in (("period_s", push.period_s, "smooth"), ("hold_s", push.hold_s, "abrupt")):
+        if value is not None and push.shape != shape:
+            raise ValueError(f"{where}.{key}: means nothing for shape {push.shape!r}; expected shape {shape!r}")
 
 
 def in_order(events: Sequence[AnyEvent], period_ms: int) -> list[tuple[int, AnyEvent]]:

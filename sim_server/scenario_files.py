@@ -15,11 +15,13 @@ from pydantic_core import ErrorDetails
 from sim_server.errors import ScenarioError
 from sim_server.metrics import METRICS
 from sim_server.scenario import Scenario
-from sim_server.scenario_events import FailGrasp, ProcessEvent, Verb
+from sim_server.scenario_events import FailGrasp, Join, ProcessEvent, Push, Verb
 
 EVENT_KINDS: Mapping[str, Any] = {
     **dict.fromkeys(get_args(Verb), ProcessEvent),
     "fail_grasp": FailGrasp,
+    "join": Join,
+    "push": Push,
 }
 SHIPPED = Path(__file__).parent / "scenarios"
 
@@ -138,6 +140,10 @@ def _explain(path: Path, errors: list[ErrorDetails]) -> ScenarioError:
     more = f" ({len(errors) - 1} more)" if len(errors) > 1 else ""
     if first["type"] == "extra_forbidden":
         return ScenarioError(path.name, key, f"unknown key{more}", expected=_known_keys(first["loc"]))
+    if first["type"] == "missing" and isinstance(first["loc"][-1], int):
+        listed = ".".join(str(part) for part in _written(first["loc"])[:-1])
+        few = f"too few numbers{more}; got {first['input']!r}"
+        return ScenarioError(path.name, listed, few, expected=f"at least {first['loc'][-1] + 1}")
     if first["type"] == "missing":
         return ScenarioError(path.name, key, f"missing{more}", expected="this key")
     if first["type"].startswith("union_tag"):

@@ -12,6 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_server.differences import JOINTS, ArmDifferences
 from sim_server.layout import Array, Pose
@@ -34,18 +35,26 @@ def compile_scene(
     pedestal_m: float,
     differences: Mapping[str, ArmDifferences],
     seats: Mapping[str, int],
+    fixed: Mapping[str, Pose],
+    *,
+    to_look_at: bool = False,
 ) -> Any:
     """Compiled model. The load stands at ``X_WO``; each arm of ``differences`` is welded to its strut (from 0).
 
-    The robots are still at the origin: write their joints into the data's ``qpos``, then :func:`refresh`.
+    Robots whose bases are fixed stand there, at ``X_WB``; the others are still at the origin: write their joints into
+    the data's ``qpos``, then :func:`refresh`.
+
+    Args:
+        to_look_at: with the shapes that are only seen.
     """
     spec = _scene(scenario)
     _add_load(spec, load, X_WO)
     for name, different in differences.items():
         accent = ACCENTS[arm_number(name) % len(ACCENTS)]
-        _add_robot(spec, name, scenario.team.arm, scenario.base, pedestal_m, accent, different)
+        _add_robot(spec, name, scenario.team.arm, scenario.base, pedestal_m, accent, different, fixed.get(name))
         _add_weld(spec, name, f"grasp{seats[name] + 1}")
-    spec.compiler.discardvisual = True  # nine of ten geoms are for the eye only; the physics is the same to the bit
+    # Nine of ten geoms are for the eye only; the physics is the same to the bit.
+    spec.compiler.discardvisual = not to_look_at
     return spec.compile()
 
 
@@ -67,6 +76,21 @@ def read_model(path: Path) -> Any:
 def refresh(model: Any, data: Any) -> None:
     """Everything that follows from positions, velocities and forces: nothing moves, nothing is integrated."""
     mujoco.mj_forward(model, data)
+
+
+def photograph(model: Any, data: Any, lookat: Array, distance_m: float, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """A picture of the world from the front left and above, (height, width, 3). Needs a library for off-screen OpenGL.
+
+    Args:
+        lookat: the point in its middle, (3,) m.
+        size: width and height, pixels.
+    """
+    camera = mujoco.MjvCamera()
+    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = lookat, distance_m, 125.0, -22.0
+    with mujoco.Renderer(model, size[1], size[0]) as renderer:
+        renderer.update_scene(data, camera)
+        picture: NDArray[np.uint8] = renderer.render().copy()
+    return picture
 
 
 def tool_pose(arm: str, q: Array) -> Pose:
@@ -165,15 +189,19 @@ def _add_load(spec: Any, load: LoadBody, X_WO: Pose) -> None:
 
 
 def _add_robot(
-    spec: Any, name: str, arm: str, base: Base, pedestal: float, accent: Colour, differences: ArmDifferences
+    spec: Any,
+    name: str,
+    arm: str,
+    base: Base,
+    pedestal: float,
+    accent: Colour,
+    differences: ArmDifferences,
+    fixed_at: Pose | None,
 ) -> None:
-    # The body stays at the world's origin, so that the slide axes are the world's and qpos is the base's pose.
-    body = spec.worldbody.add_body(name=f"{name}/base")
-    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-    rolling, turning = [base.rolling_resistance_Ns_m, 0, 0], [base.yaw_resistance_Nms_rad, 0, 0]
-    body.add_joint(name=f"{name}/base_x", type=slide, axis=[1, 0, 0], damping=rolling)
-    body.add_joint(name=f"{name}/base_y", type=slide, axis=[0, 1, 0], damping=rolling)
-    body.add_joint(name=f"{name}/base_yaw", type=hinge, axis=[0, 0, 1], damping=turning)
+    if fixed_at is not None:
+        body = spec.worldbody.add_body(name=f"{name}/base", pos=fixed_at.p, quat=quat_wxyz(fixed_at.R))
+    else:
+        body = _add_rolling_base(spec, name, base)
     body.explicitinertial = True
     body.mass, body.ipos = base.mass_kg, [0, 0, 0.15]
     izz = base.yaw_inertia_kg_m2
@@ -190,6 +218,17 @@ def _add_robot(
     child.add_sensor(name="wrist_force", type=mujoco.mjtSensor.mjSENS_FORCE, objtype=site, objname="wrist")
     child.add_sensor(name="wrist_torque", type=mujoco.mjtSensor.mjSENS_TORQUE, objtype=site, objname="wrist")
     spec.attach(child, prefix=f"{name}/", frame=body.add_frame(pos=[0, 0, pedestal]))
+
+
+def _add_rolling_base(spec: Any, name: str, base: Base) -> Any:
+    # The body stays at the world's origin, so that the slide axes are the world's and qpos is the base's pose.
+    body = spec.worldbody.add_body(name=f"{name}/base")
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    rolling, turning = [base.rolling_resistance_Ns_m, 0, 0], [base.yaw_resistance_Nms_rad, 0, 0]
+    body.add_joint(name=f"{name}/base_x", type=slide, axis=[1, 0, 0], damping=rolling)
+    body.add_joint(name=f"{name}/base_y", type=slide, axis=[0, 1, 0], damping=rolling)
+    body.add_joint(name=f"{name}/base_yaw", type=hinge, axis=[0, 0, 1], damping=turning)
+    return body
 
 
 def _apply(arm: Any, differences: ArmDifferences) -> None:
@@ -221,6 +260,14 @@ def _add_weld(spec: Any, name: str, grasp: str) -> None:
 def locate(model: Any, data: Any) -> None:
     """Where all bodies and sites are at the present positions; forces and velocities are left as they were."""
     mujoco.mj_kinematics(model, data)
+
+
+def site_jacobian(model: Any, data: Any, site: int) -> Array:
+    """Jacobian of a site where :func:`locate` has put it, rows [v; w] in the world's axes, (6, nv)."""
+    mujoco.mj_comPos(model, data)
+    J = np.zeros((6, model.nv))
+    mujoco.mj_jacSite(model, data, J[:3], J[3:], site)
+    return J
 
 
 def rotation(data: Any, site: int) -> Array:

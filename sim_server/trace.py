@@ -4,10 +4,13 @@ A Parquet file is worth nothing before its end is written, and a simulator that 
 to ``trace.parts/0001.rows`` first (sim_server/trace_rows.py), and a new file begins whenever other arms take part.
 
 Columns: ``tick``, ``time_s``, ``load.position`` (3), ``load.quat_wxyz`` (4), ``load.linear_velocity`` (3),
-``load.angular_velocity`` (3), ``leader.force`` (3), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n,
+``load.angular_velocity`` (3), ``leader.force`` (3), ``load.disturbance`` (6: force and torque about the centre of mass,
+world), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n,
 applied), ``a1.wrench`` (6), ``a1.stiffness`` (n), ``a1.base`` (3: x, y, yaw in the world), ``a1.base_velocity`` (3),
-``a1.base_force`` (3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at the grasp, world) and
-``a1.age_ticks``. Where an arm took no part its numbers are NaN and its age is null.
+``a1.base_force`` (3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at the grasp, world),
+``a1.disturbance`` (6: force and torque on the hand at the tool centre, world) and ``a1.age_ticks``. Where an arm took
+no part its numbers are NaN and its age is null. A disturbance is what comes from outside (a push) or from a grasp that
+fails, as it was applied in the tick's last physics step; the leader's pull is none.
 """
 
 from __future__ import annotations
@@ -41,6 +44,7 @@ def columns(arms: Iterable[str], joints: int) -> dict[str, int]:
         "load.linear_velocity": 3,
         "load.angular_velocity": 3,
         "leader.force": 3,
+        "load.disturbance": 6,
     }
     for arm in arms:
         named |= {
@@ -53,6 +57,7 @@ def columns(arms: Iterable[str], joints: int) -> dict[str, int]:
             f"{arm}.base_velocity": 3,
             f"{arm}.base_force": 3,
             f"{arm}.grip": 6,
+            f"{arm}.disturbance": 6,
             f"{arm}.age_ticks": 1,
         }
     return named

@@ -23,6 +23,7 @@ from sim_server.loads import load_body
 from sim_server.robots import R_SE, home, pedestal_height_m
 from sim_server.scenario import LoadPoint, Scenario, arm_number
 from sim_server.scene import compile_scene, new_data, refresh, tool_pose
+from sim_server.start import displaced_base, displaced_load, reach_struts
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,8 @@ class ArmIds:
         name: ``a1`` ...
         strut: number of the strut it holds, or is to take, from 0; its site is ``grasp_site``.
         base_qpos, base_dof: x, y [m], yaw [rad] of the base in the world: ``data.qpos[base_qpos]`` is the base's pose.
+            Nothing for a base that is fixed: ask :mod:`sim_server.bases`.
+        fixed_at: x, y, yaw of a base that is fixed, (3,); None for one that rolls.
         arm_qpos, arm_dof: the 7 joints of the arm. Motor torque: ``data.qfrc_applied[arm_dof]``.
         force_sensor, torque_sensor: 3 numbers each in ``data.sensordata``: what the arm's flange exerts on the hand
             (and so on all that the hand holds), at the wrist, in the wrist's axes [N], [N m].
@@ -47,6 +50,7 @@ class ArmIds:
     strut: int
     base_qpos: slice
     base_dof: slice
+    fixed_at: Array | None
     arm_qpos: slice
     arm_dof: slice
     force_sensor: slice
@@ -104,12 +108,13 @@ class World:
     pedestal_m: float
 
 
-def build_world(scenario: Scenario, seats: Mapping[str, int] | None = None) -> World:
+def build_world(scenario: Scenario, seats: Mapping[str, int] | None = None, *, to_look_at: bool = False) -> World:
     """The scenario's world, every robot in its starting posture with its hand closed on its strut.
 
     Args:
         scenario: what it is built from.
         seats: the arms that are in it, each with its strut (from 0); by default the scenario's team.
+        to_look_at: with the shapes that are only seen.
 
     Raises ``LayoutError`` when load and robots do not fit, ``NoHome`` or ``wire.arms.UnknownArm`` for an arm that is
     not known. The same scenario gives the same world, number for number.
@@ -123,17 +128,21 @@ def build_world(scenario: Scenario, seats: Mapping[str, int] | None = None) -> W
     level = strut_level_m(scenario.load)
     pedestal = pedestal_height_m(level, float(X_AE.p[2]))
     X_BS = Pose.planar(0, 0, pedestal).compose(X_AE).compose(Pose(np.zeros(3), R_SE.T))
-    X_WO = Pose.planar(0, 0, float(X_BS.p[2]) - level)
-    bases = [X_WO.compose(X_OB) for X_OB in base_poses(scenario.load, X_BS)]
+    X_WO = displaced_load(scenario, Pose.planar(0, 0, float(X_BS.p[2]) - level))
+    X_OB = base_poses(scenario.load, X_BS)
+    bases = {name: displaced_base(scenario, name, X_WO.compose(X_OB[strut])) for name, strut in seats.items()}
 
     differences = {name: draw_differences(scenario.plant, scenario.seed, arm_number(name)) for name in seats}
-    model = compile_scene(scenario, load, X_WO, pedestal, differences, seats)
+    fixed = bases if scenario.base.fixed else {}
+    model = compile_scene(scenario, load, X_WO, pedestal, differences, seats, fixed, to_look_at=to_look_at)
     data = new_data(model)
-    arms = {name: _arm_ids(model, name, strut, differences[name]) for name, strut in seats.items()}
+    arms = {name: _arm_ids(model, name, strut, differences[name], fixed.get(name)) for name, strut in seats.items()}
     for ids in arms.values():
-        X_WB = bases[ids.strut]
-        data.qpos[ids.base_qpos] = X_WB.p[0], X_WB.p[1], X_WB.yaw
+        if ids.fixed_at is None:
+            data.qpos[ids.base_qpos] = planar(bases[ids.name])
         data.qpos[ids.arm_qpos] = q_home
+    if scenario.plant.start_offset_m or scenario.plant.start_yaw_rad:
+        reach_struts(model, data, ((ids.tcp_site, ids.grasp_site, ids.arm_qpos, ids.arm_dof) for ids in arms.values()))
     refresh(model, data)
     joint = model.joint("load")
     return World(
@@ -185,15 +194,22 @@ def with_robots(world: World, seats: Mapping[str, int], model: Any) -> Generator
     )
 
 
-def _arm_ids(model: Any, name: str, strut: int, differences: ArmDifferences) -> ArmIds:
-    base, first = model.joint(f"{name}/base_x"), model.joint(f"{name}/joint1")
+def planar(X_WB: Pose) -> Array:
+    """x, y, yaw of a base, (3,)."""
+    return np.array([X_WB.p[0], X_WB.p[1], X_WB.yaw])
+
+
+def _arm_ids(model: Any, name: str, strut: int, differences: ArmDifferences, fixed_at: Pose | None = None) -> ArmIds:
+    first = model.joint(f"{name}/joint1")
+    base = None if fixed_at else model.joint(f"{name}/base_x")
     joints = [model.joint(f"{name}/joint{k}").id for k in range(1, JOINTS + 1)]
     force, torque = model.sensor(f"{name}/wrist_force"), model.sensor(f"{name}/wrist_torque")
     return ArmIds(
         name=name,
         strut=strut,
-        base_qpos=_run(base.qposadr[0], 3),
-        base_dof=_run(base.dofadr[0], 3),
+        base_qpos=slice(0, 0) if base is None else _run(base.qposadr[0], 3),
+        base_dof=slice(0, 0) if base is None else _run(base.dofadr[0], 3),
+        fixed_at=None if fixed_at is None else planar(fixed_at),
         arm_qpos=_run(first.qposadr[0], JOINTS),
         arm_dof=_run(first.dofadr[0], JOINTS),
         force_sensor=_run(force.adr[0], 3),

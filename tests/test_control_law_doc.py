@@ -7,6 +7,7 @@ from pathlib import Path
 
 from agents.equations import law as law_equations
 from agents.equations import null_space as null_equations
+from agents.equations import reference as reference_equations
 from agents.equations import saturation as saturation_equations
 from agents.equations import stiffness as stiffness_equations
 from agents.equations import task as task_equations
@@ -26,6 +27,7 @@ def test_the_page_on_the_law_names_every_equation_and_no_other() -> None:
         for module in (
             law_equations,
             null_equations,
+            reference_equations,
             saturation_equations,
             stiffness_equations,
             task_equations,

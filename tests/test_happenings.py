@@ -16,7 +16,7 @@ from sim_server.grasping import Closing
 from sim_server.happenings import Arrivals, Happenings
 from sim_server.newcomers import CannotCome
 from sim_server.process_deeds import Undone
-from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Verb, check_events
+from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Push, Verb, check_events
 from sim_server.scenario_files import load_scenario
 from sim_server.snapshot import pack, unpack
 from sim_server.world_builder import NotBuilt
@@ -30,6 +30,12 @@ RETREAT_TICKS = 4
 """Ticks that an agent answers in memory after it has said that it leaves."""
 
 # The file
+
+
+def push(**changes: Any) -> dict[str, Any]:
+    """A push on the load, as a file has it."""
+    given = {"at_s": 1.0, "kind": "push", "point": "front", "for_s": 2.0, "force_N": [50.0, 0.0, 0.0], **changes}
+    return {key: value for key, value in given.items() if value is not None}
 
 
 @pytest.mark.parametrize(
@@ -47,6 +53,23 @@ RETREAT_TICKS = 4
         ([{"at_s": t, "kind": "kill", "agent": "a1"} for t in (2.0, 1.0)], "events.0.kind", ("a1 is gone",)),
         ([{"at_s": 1.0, "kind": "start", "agent": "a1"}], "events.0.kind", ("a1 is running",)),
         ([{"at_s": t, "kind": "fail_grasp", "arm": "a1"} for t in (1.0, 3.0)], "events.1.arm", ("before",)),
+        ([push(point="middle")], "events.0.point", ("'centre_of_mass'", "'middle'")),
+        ([push(force_N=[50.0, 0.0])], "events.0.force_N", ("too few numbers", "[50.0, 0.0]", "at least 3")),
+        ([push(force_N=[50.0, 0.0, 0.0, 0.0])], "events.0.force_N", ("at most 3",)),
+        ([push(force_N=[50.0, 0.0, float("nan")])], "events.0.force_N.2", ("finite", "nan")),
+        ([push(force_N=[0.0, 0.0, 0.0])], "events.0.force_N", ("nothing pushes",)),
+        ([push(at_s=20.0)], "events.0.at_s", ("20 s is not before the run's end at 20 s",)),
+        ([push(for_s=19.0)], "events.0.for_s", ("ends at 20 s", "end at 20 s")),
+        ([push(for_s=-2.0)], "events.0.for_s", ("greater than 0", "-2.0")),
+        ([push(arm="a9", point=None)], "events.0.arm", ("no arm 'a9'", "a1, a2, a3, a4")),
+        ([push(arm="leader", point=None)], "events.0.arm", ("no arm 'leader'",)),
+        ([push(arm="a1")], "events.0.arm", ("both `arm` and `point`",)),
+        ([push(point=None)], "events.0.arm", ("neither `arm` nor `point`",)),
+        ([push(shape="soft")], "events.0.shape", ("'smooth'", "'soft'")),
+        ([push(hold_s=1.0)], "events.0.hold_s", ("shape 'constant'", "shape 'abrupt'")),
+        ([push(period_s=1.0, shape="abrupt")], "events.0.period_s", ("shape 'smooth'",)),
+        ([push(agent="a1")], "events.0.agent", ("unknown key", "force_N")),
+        ([{"at_s": 1.0, "kind": "join", "arm": "a5", "strut": 4, "agent": "a1"}], "events.0.agent", ("unknown key",)),
     ],
 )
 def test_an_event_that_cannot_be_is_refused_with_file_and_key(
@@ -130,12 +153,25 @@ class NoNewcomers:
         raise NotImplementedError
 
 
+class PushesBook:
+    """What has become of pushes since it was last looked at."""
+
+    def __init__(self) -> None:
+        self.news: list[tuple[Push, str]] = []
+
+
 class NoHands:
     """A plant's hands that only write down."""
 
     def __init__(self) -> None:
         self.hands = HandsBook()
+        self.disturbances = PushesBook()
+        self.names = ["a1", "a2"]
         self.book: list[tuple[object, ...]] = []
+
+    def push(self, event: Push) -> None:
+        self.book.append(("push", event.arm or event.point))
+        self.disturbances.news.append((event, "50 N act"))
 
     def loosen(self, arm: str, force_N: float) -> None:
         self.book.append(("loosen", arm, force_N))
@@ -429,6 +465,28 @@ def test_a_failing_grasp_is_loose_and_then_opens_at_its_tick() -> None:
     assert stage.bench.reported("hand_opened") == [{"agent": "a1"}]
     assert stage.reported("ordered") == [("fail_grasp", "a1")]
     assert stage.reported("seen") == [("fail_grasp", "a1")] * 2
+
+
+def test_a_push_is_ordered_at_its_tick_and_seen_when_it_has_acted() -> None:
+    event = Push(at_s=0.002, kind="push", arm="a1", for_s=0.003, force_N=(5.0, 0.0, 0.0))
+    stage = Stage(event, Push(at_s=0.003, kind="push", point="front", for_s=0.003, torque_Nm=(0.0, 0.0, 1.0)))
+    stage.run(2)
+    assert stage.bench.reported("ordered") == []
+    stage.run(1)
+    assert stage.hands.book == [("push", "a1")]
+    assert stage.bench.reported("ordered") == [{"event": "push", "agent": "a1"}]
+    assert stage.bench.reported("seen") == []
+    stage.run(2)
+    assert stage.bench.reported("seen") == [
+        {"event": "push", "agent": "a1", "effect": "50 N act"},
+        {"event": "push", "point": "front", "effect": "50 N act"},
+    ]
+
+
+def test_a_push_on_a_robot_that_is_not_there_ends_the_run_with_that_reason() -> None:
+    stage = Stage(Push(at_s=0.0, kind="push", arm="a3", for_s=0.003, force_N=(5.0, 0.0, 0.0)))
+    with pytest.raises(Undone, match="event 'push' of a3 at 0 s was not done: its robot is not there"):
+        stage.run(1)
 
 
 class BrokenBuild(NoNewcomers):

@@ -279,8 +279,8 @@ def test_positions_and_forces_of_a_row_belong_to_the_same_instant() -> None:
         row = np.concatenate(plant.force_row(before))
         assert row[0] == plant.tick - 1
         np.testing.assert_array_equal(row[2:5], pose.position)
-        arms = row[2 + 13 + 3 :].reshape(4, -1)
-        force.append(arms[:, -7:-4].sum(axis=0) + pull + 20.0 * world.model.opt.gravity)
+        arms = row[2 + 13 + 3 + 6 :].reshape(4, -1)
+        force.append(arms[:, -13:-10].sum(axis=0) + pull + 20.0 * world.model.opt.gravity)
     change = np.diff(momentum, axis=0) / 0.001
     assert np.abs(change).max() > 10.0
     # Grips are forces at a step's start and the step is explicit in them; what differs is the centre of mass swinging

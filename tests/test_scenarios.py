@@ -12,6 +12,7 @@ from processes import free_port, run_to_end
 from sim_server.errors import ScenarioError
 from sim_server.metrics import METRICS
 from sim_server.scenario import Scenario
+from sim_server.scenario_events import Push
 from sim_server.scenario_files import load_scenario, shipped_names
 from sim_server.server import check_world
 
@@ -62,6 +63,31 @@ def test_fixed_stiffness_is_the_same_carry_but_for_the_stiffness() -> None:
         del each["team"]["gains"]
         del each["expect"]["sag_max_mm"]  # the one thing that is expected to differ
     assert adaptive == fixed
+
+
+def test_the_trajectory_with_fixed_stiffness_is_the_same_but_for_the_stiffness() -> None:
+    adaptive, fixed = (load_scenario(name).scenario for name in ("trajectory", "trajectory-fixed-stiffness"))
+    assert fixed.team.gains == {**adaptive.team.gains, "adaptive": False}
+    same = {"description", "team"}
+    assert adaptive.model_dump(exclude=same) == fixed.model_dump(exclude=same)
+    assert adaptive.model_dump()["team"] | {"gains": {}} == fixed.model_dump()["team"] | {"gains": {}}
+    assert (adaptive.base.fixed, adaptive.leader, adaptive.load.mass_kg) == (True, None, 2.5)
+
+
+def test_the_pushed_carries_are_the_same_carry_but_for_a_push_of_two_seconds_in_the_plane() -> None:
+    plain = load_scenario("transport").scenario
+    for name, force, torque in (
+        ("transport-pushed", (0.0, 50.0, 0.0), (0.0, 0.0, 0.0)),
+        ("transport-pushed-along", (-50.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ("transport-twisted", (0.0, 0.0, 0.0), (0.0, 0.0, 20.0)),
+    ):
+        pushed = load_scenario(name).scenario
+        (event,) = pushed.events
+        assert isinstance(event, Push)
+        assert (event.arm, event.at_s, event.for_s, event.shape) == ("a2", 3.0, 2.0, "constant")
+        assert (event.force_N, event.torque_Nm) == (force, torque)
+        same = {"description", "events", "expect"}
+        assert pushed.model_dump(exclude=same) == plain.model_dump(exclude=same)
 
 
 def test_real_time_is_the_same_carry_but_for_the_clock() -> None:
@@ -230,6 +256,26 @@ BAD: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "load.size_m",
         ("pedestal", "at most 0.8 m"),
     ),
+    "fixed_base_and_a_leader_that_pulls_far": (
+        extending("[base]\nfixed = true"),
+        "leader.goal_m",
+        ("2 m", "base.fixed = true", "at most 0.2 m"),
+    ),
+    "fixed_base_and_a_stop_that_is_far": (
+        extending(
+            "[base]\nfixed = true\n[leader]\ngoal_m = [0.1, 0.0]\nstops = [{ goal_m = [0.0, 0.3], until_s = 1.0 }]"
+        ),
+        "leader.goal_m",
+        ("0.3 m from the start",),
+    ),
+    "fixed_base_and_a_robot_that_comes": (
+        "extends = 'hold'\n[base]\nfixed = true\n[team]\ncount = 3\n"
+        "[[events]]\nat_s = 5.0\nkind = 'join'\narm = 'a5'\nstrut = 4",
+        "events.0.kind",
+        ("'join'", "base.fixed = true"),
+    ),
+    "fixed_is_no_yes_or_no": (extending("[base]\nfixed = 'yes, please'"), "base.fixed", ("boolean",)),
+    "block_for_several_hands": (extending("[load]\nshape = 'block'"), "load.struts", ("4", "expected 1")),
     "extends_nobody": ("extends = 'tranport'", "extends", ("'tranport'", "Did you mean transport?")),
     "extends_itself": ("extends = 'mine'", "extends", ("circle",)),
     "extends_itself_by_a_detour": ("extends = './mine'", "extends", ("circle",)),
@@ -282,6 +328,16 @@ def test_bad_input_ends_the_command_with_status_2_and_leaves_nothing_behind(what
         assert words in line
     assert ended.returncode == 2
     assert ended.stdout == ""
+    assert list(tmp_path.rglob("*")) == [path]
+
+
+@pytest.mark.system
+def test_a_gain_that_cannot_be_ends_the_command_with_file_key_got_and_expected(tmp_path: Path) -> None:
+    path = written(tmp_path, extending("[team.gains]\nreference = 'cosine'"))
+    ended = run_to_end("run", path, cwd=tmp_path)
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("palanquin: mine.toml: team.gains.reference: Input should be 'none' or 'sine'; got 'cosine'")
+    assert ended.returncode == 2
     assert list(tmp_path.rglob("*")) == [path]
 
 

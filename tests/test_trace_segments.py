@@ -88,7 +88,7 @@ def test_an_arm_that_was_absent_has_no_numbers_there_and_a_null_age(tmp_path: Pa
     found = read_trace(tmp_path / "trace.parquet")
     assert list(found) == list(columns(("a1", "a2", "a3"), 7))
     np.testing.assert_array_equal(found["tick"], np.arange(7))
-    np.testing.assert_array_equal(found["a1.q"], np.vstack([early[:, 18:25], later[:, 18:25]]))
+    np.testing.assert_array_equal(found["a1.q"], np.vstack([early[:, 24:31], later[:, 24:31]]))
     assert np.isnan(found["a2.q"][4:]).all()
     assert np.isnan(found["a3.grip"][:4]).all()
     np.testing.assert_array_equal(found["a2.age_ticks"], [0, 1, 2, 0, np.nan, np.nan, np.nan])

@@ -12,7 +12,7 @@ from agents.arm_model import ArmModel
 from agents.controllers.better import BetterController
 from agents.controllers.interface import Controller, ControllerFactory
 from agents.controllers.paper import PaperController
-from agents.errors import ControllerError
+from agents.errors import ControllerError, GainError
 
 CONTROLLERS: Mapping[str, ControllerFactory] = {"paper": PaperController, "better": BetterController}
 """The laws that come with Palanquin."""
@@ -55,10 +55,8 @@ def make_controller(name: str, arm: ArmModel, gains: Mapping[str, object]) -> Co
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "gains"
         known = ", ".join(getattr(getattr(factory, "gains_model", None), "model_fields", {}))
-        raise ControllerError(
-            f"controller {name}: gain {key}: {first['msg']}; got {first['input']!r}"
-            + (f"; known gains: {known}" if known else "")
-        ) from None
+        problem = f"{first['msg']}; got {first['input']!r}" + (f"; known gains: {known}" if known else "")
+        raise GainError(name, key, problem) from None
     except ControllerError as error:
         raise ControllerError(f"controller {name}: {error}") from error.__cause__
     except TypeError as error:

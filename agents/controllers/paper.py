@@ -10,15 +10,18 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from agents.arm_model import ArmModel
 from agents.controllers.interface import Effort, Sensed
+from agents.controllers.reference import ReferenceGains
 from agents.equations.chain import Chain, chain_terms, inverse_of_inertia
 from agents.equations.law import base_force, joint_torque
 from agents.equations.null_space import null_projection, null_torque_projected
+from agents.equations.reference import ramp_share
 from agents.equations.stiffness import DEG, adaptive_stiffness, projected_error_rate, projected_joint_error
 from agents.equations.task import (
+    UPRIGHT,
     dynamically_consistent_inverse,
     external_torque,
     task_acceleration,
@@ -39,10 +42,11 @@ TASK_ROWS = slice(2, 5)
 """Rows v_z, w_x, w_y of a hand Jacobian [v; w]."""
 
 
-class PaperGains(BaseModel):
-    """Gains of the paper's law, SI; the defaults are the printed ones. (Section V; control gains of Table I.)"""
+AT_REST: Array = np.zeros(3)
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+class PaperGains(ReferenceGains):
+    """Gains of the paper's law, SI; the defaults are the printed ones. (Section V; control gains of Table I.)"""
 
     task_stiffness_1_s2: NotNegative = 80.0
     """K_e."""
@@ -85,23 +89,28 @@ def paper_law(
     p_held: Array,
     up_E: Array,
     ahead_held: Array,
+    up_d: Array = UPRIGHT,
+    xd_d: Array = AT_REST,
+    xdd_d: Array = AT_REST,
 ) -> tuple[Array, Array, Array]:
     """Joint torque (n,) N m, base force (3,) N, N, N m in B, and joint stiffness (n,) N m/rad. Equations 5 to 16.
 
     Args:
         qd: joint velocities, (n,) rad/s.
         M_inv, C, g, J, Jdot, p_BE, R_BE: as in :class:`agents.arm_model.ArmSnapshot`.
-        p_held: where the hand was at the first step, (3,) m in B: its height is held, the base keeps the rest.
+        p_held: where the hand was at the first step, (3,) m in B, with the desired height: the base keeps the rest.
         up_E: the hand's axis that was vertical then, (3,) unit vector in the hand's frame E.
         ahead_held: the hand's x axis then, (3,) unit vector in B.
+        up_d: where that axis shall point, (3,) unit vector in B.
+        xd_d, xdd_d: desired velocity and acceleration of the task (height, roll, pitch), (3,) m, rad per s, s^2.
     """
     J_x, Jdot_x = J[TASK_ROWS], Jdot[TASK_ROWS]
     K_nu = np.array(gains.null_stiffness_Nm_rad)
     D = np.full(len(K_nu), gains.null_damping_Nms_rad)
     K_e, B_e = np.full(3, gains.task_stiffness_1_s2), np.full(3, gains.task_damping_1_s)
 
-    x_err = np.array([p_held[2] - p_BE[2], *tilt_error(R_BE @ up_E)])
-    xd_err = -task_velocity(J_x, qd)
+    x_err = np.array([p_held[2] - p_BE[2], *tilt_error(R_BE @ up_E, up_d)])
+    xd_err = xd_d - task_velocity(J_x, qd)
     Lambda_x = task_inertia(J_x, M_inv)
     Jbar = dynamically_consistent_inverse(J_x, M_inv, Lambda_x)
 
@@ -110,7 +119,7 @@ def paper_law(
     if gains.adaptive:
         K = adaptive_stiffness(K_nu, gains.beta, q_err, projected_error_rate(gains.alpha, Jbar, xd_err))
 
-    xdd_c = task_acceleration(np.zeros(3), xd_err, x_err, B_e, K_e)
+    xdd_c = task_acceleration(xdd_d, xd_err, x_err, B_e, K_e)
     if gains.drift_compensation:
         xdd_c = xdd_c - task_drift(Jdot_x, qd)
     tau_task = task_torque(J_x, Lambda_x, xdd_c, Jbar, external_torque(K, Jbar, x_err))
@@ -127,14 +136,29 @@ def paper_law(
 
 
 def law_of_the_arm(
-    chain: Chain, gains: PaperGains, q: Array, qd: Array, p_held: Array, up_E: Array, ahead_held: Array
+    chain: Chain,
+    gains: PaperGains,
+    q: Array,
+    qd: Array,
+    p_held: Array,
+    up_E: Array,
+    ahead_held: Array,
+    when: Array | None = None,
 ) -> tuple[Array, ...]:
     """:func:`paper_law` with the arm's terms worked out beside it, for joint positions q, (n,) rad; and for those who
-    build on it the angular rows of the hand's Jacobian, (3 n,), and the hand's pose p_BE, (3,), and R_BE, (9,)."""
+    build on it the angular rows of the hand's Jacobian, (3 n,), and the hand's pose p_BE, (3,), and R_BE, (9,).
+
+    Args:
+        when: time since take-over, s, and the share of the reference's ramp that is over, (2,), if there is one.
+    """
     now = chain_terms(chain, q, qd)
+    desired: dict[str, Array] = {}
+    if when is not None:
+        x_d, desired["xd_d"], desired["xdd_d"], desired["up_d"] = gains.desired(*when)
+        p_held = np.array([p_held[0], p_held[1], p_held[2] + x_d[0]])
     torque, force, K = paper_law(
         gains, qd=qd, M_inv=inverse_of_inertia(now.M), C=now.C, g=now.g, J=now.J, Jdot=now.Jdot, p_BE=now.p_BE,
-        R_BE=now.R_BE, p_held=p_held, up_E=up_E, ahead_held=ahead_held,
+        R_BE=now.R_BE, p_held=p_held, up_E=up_E, ahead_held=ahead_held, **desired,
     )  # fmt: skip
     return torque, force, K, now.J[3:].ravel(), now.p_BE, now.R_BE.ravel()
 
@@ -165,9 +189,13 @@ class PaperController:
                 f"expected {n}, one per joint of arm model {arm.name}"
             )
         shapes = {"q": (n,), "qd": (n,), "p_held": (3,), "up_E": (3,), "ahead_held": (3,)}
+        self._follows = self.gains.reference != "none"
+        if self._follows:
+            shapes["when"] = (2,)
         self._law = Traced(partial(law_of_the_arm, arm.chain, self.gains), shapes)
         self._holds = False
         self._height_m: float | None = None
+        self._elapsed_s, self._ramp_s = 0.0, self.gains.reference_ramp_s
 
     def carry_at(self, height_m: float) -> None:
         """Hold this height, m in B, and the hand straight down, instead of what is found at the first step: so an arm
@@ -175,13 +203,18 @@ class PaperController:
         self._height_m = height_m
 
     def step(self, sensed: Sensed, dt_s: float) -> Effort:
-        """The law remembers the pose at the first step and integrates nothing: ``dt_s`` is not used."""
+        """The law remembers the pose at the first step, and adds up ``dt_s`` to know where its reference is."""
         law = self._law
         inputs = law.inputs
         inputs["q"][:], inputs["qd"][:] = sensed.q, sensed.qd
         if not self._holds:
             law()
             self._hold()
+        else:
+            self._elapsed_s += dt_s
+        if self._follows:
+            when = inputs["when"]  # number by number: numpy takes longer over a tuple
+            when[0], when[1] = self._elapsed_s, ramp_share(self._elapsed_s, self._ramp_s)
         law()
         torque, base_force, stiffness, *_ = law.outputs
         return Effort(torque.copy(), base_force.copy(), stiffness.copy())

@@ -20,16 +20,20 @@ def task_velocity(J: Array, qd: Array) -> Array:
     return J @ qd
 
 
-def tilt_error(u: Array) -> Array:
-    """Roll and pitch that are missing to bring the axis ``u`` back upright, (2,) rad: x and y of u x e_z.
+UPRIGHT: Array = np.array([0.0, 0.0, 1.0])
+
+
+def tilt_error(u: Array, u_d: Array = UPRIGHT) -> Array:
+    """Roll and pitch that are missing to bring the axis ``u`` to ``u_d``, (2,) rad: x and y of u x u_d.
 
     No Euler angles, no wrap, and blind to yaw: turning about the vertical changes nothing. Exact for small tilts
     (it is the sine of the angle). Our reading of the paper's (theta, phi), which it leaves undefined.
 
     Args:
         u: the hand's axis that was vertical at the grasp, (3,) unit vector in frame B.
+        u_d: where it shall point, (3,) unit vector in frame B; upright unless there is a reference.
     """
-    return np.array([u[1], -u[0]])
+    return np.array([u[1] * u_d[2] - u[2] * u_d[1], u[2] * u_d[0] - u[0] * u_d[2]])
 
 
 def task_acceleration(xdd_d: Array, xd_err: Array, x_err: Array, B_e: Array, K_e: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.controllers.reference import ReferenceGains
 from deploy.paper import claims
 from deploy.paper.claims import Found
 from deploy.paper.results import Results, hand_places
@@ -95,7 +96,9 @@ def disturbed_s(about: Any) -> tuple[float, float] | None:
 
 def wanted_height(about: Any, time_s: Array) -> Array:
     """The height that the follower of a trajectory is to hold, against its start, (rows,) m."""
-    raise NotImplementedError
+    known = {name: value for name, value in about["scenario"]["team"]["gains"].items() if name.startswith("reference")}
+    reference = ReferenceGains.model_validate(known)
+    return np.array([reference.reference_at(float(t))[0][0] for t in time_s])
 
 
 def _selective(condition: str) -> tuple[Claim, ...]:
@@ -121,8 +124,8 @@ def _selective(condition: str) -> tuple[Claim, ...]:
 
 
 TRAJECTORY = "VI-B", "trajectory"
-SETTLED_IN_S = 1.0
-"""The start of a trajectory, in which the arm takes the load over, is no part of the error."""
+SETTLED_IN_S = 4.0
+"""The first period, in which the trajectory comes to its full amplitude, is no part of the error."""
 
 
 def height_error(results: Results, preset: str, seed: int) -> Array:

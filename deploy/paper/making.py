@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+import subprocess
+import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from deploy.paper import figures
@@ -22,6 +27,8 @@ from deploy.paper.report import (
     write_json,
 )
 from deploy.paper.results import Results, hand_places
+
+log = logging.getLogger("palanquin.paper")
 
 LAWS = ("paper", "palanquin")
 """The laws whose claims are judged."""
@@ -99,8 +106,23 @@ def _figure_6(results: Results, law: str, file: Path) -> None:
 
 
 def _pictures(results: Results, law: str) -> list[np.ndarray]:
-    """The start and the end of the first carry, rendered; nothing on a machine that cannot."""
-    return []
+    """The start and the end of the first carry, rendered; nothing on a machine that cannot.
+
+    By processes of their own: what renders has to be chosen before MuJoCo is loaded, and it is loaded here.
+    """
+    seed = results.seeds("VI-C", "undisturbed", law)[0]
+    run = results.run("VI-C", "undisturbed", law, seed)
+    pictures = []
+    with tempfile.TemporaryDirectory() as room:
+        for time_s in (0.0, float(results.trace(run)["time_s"][-1])):
+            file = Path(room) / "still.png"
+            command = [sys.executable, "-m", "deploy.cli", "render", str(results.folder(run)), "--out", str(file)]
+            ended = subprocess.run([*command, "--time-s", str(time_s)], capture_output=True, text=True, check=False)
+            if ended.returncode:
+                log.warning("no pictures of the carry: %s", ended.stderr.strip())
+                return []
+            pictures.append(plt.imread(file))
+    return pictures
 
 
 def _text(

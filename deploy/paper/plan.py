@@ -26,8 +26,12 @@ PRESETS: Mapping[Preset, Changes] = {
 
 START_DIFFERS: Changes = {"plant": {"start_offset_m": 0.005, "start_yaw_rad": 0.01}}
 """Small changes of how the robots stand at the start, drawn from each seed."""
-SHORT_S: Mapping[str, float] = {"VI-A": 4.0, "VI-B": 6.0, "VI-C": 9.0}
-"""Simulated time of a short run: two periods of the trajectory and less; a carry just arrives."""
+SHORT_S: Mapping[str, Changes] = {
+    "VI-A": {},
+    "VI-B": {"duration_s": 12.0},
+    "VI-C": {"duration_s": 12.0},
+}
+"""What is cut of a short run: three periods of the trajectory are left; a carry just arrives."""
 
 RECORD: Changes = {"record": {"every_ticks": 10, "checkpoint_s": 0.0}}
 """100 rows per simulated second are enough for every claim, and no run here is resumed in its middle."""
@@ -108,7 +112,7 @@ def section_vi_runs(seeds: range, *, short: bool = False) -> Iterator[Run]:
             for preset in condition.presets:
                 changes = merged(merged(RECORD, START_DIFFERS), merged(PRESETS[preset], condition.changes))
                 if short:
-                    changes = merged(changes, {"duration_s": SHORT_S[group]})
+                    changes = merged(changes, SHORT_S[group])
                 for seed in seeds:
                     yield Run(group, condition.name, preset, condition.scenario, changes, seed)
 
