@@ -101,6 +101,7 @@ CONDITIONS: Mapping[str, Condition] = {
     "failed-x3": Condition(SHORT, 3.0, slips_s=1.0),
     "lost-x3": Condition({"duration_s": 12.0}, 3.0, lost_s=1.0),
     "lost": Condition({"duration_s": 20.0}, lost_s=1.0),
+    "dropout": Condition({"duration_s": 20.0}, lost_s=5.0),
     "delay-20": Condition({"duration_s": 12.0, "plant": {"delay_ticks": 20}}),
     "hold": Condition({"duration_s": 8.0}, scenario="hold"),
     "one": Condition({"duration_s": 20.0}, scenario="transport-one"),
@@ -117,7 +118,7 @@ CONDITIONS: Mapping[str, Condition] = {
     "crate": Condition({"load": {"shape": "crate", "size_m": [1.2, 1.2, 0.5]}, "duration_s": 12.0}, 3.0),
     "two": Condition({"team": {"count": 2}, "load": {"mass_kg": 8.0}, "duration_s": 15.0}, 3.0),
     "six": Condition({"duration_s": 25.0}, scenario="transport-six"),
-    "two-ms": Condition({"duration_s": 10.0, "clock": {"control_period_ms": 4}, "leader": {"period_ms": 12}}),
+    "period-4ms": Condition({"duration_s": 10.0, "clock": {"control_period_ms": 4}, "leader": {"period_ms": 12}}),
 }
 
 
@@ -203,9 +204,7 @@ def carry(law: str, condition: Condition, seed: int = 1, gains: Mapping[str, Any
             plant.pull(leader.point, pull(view, np.array(plant.points[leader.point]), told))
         for each, each_law in laws.items():
             reading = readings[each]
-            effort = each_law.step(
-                Sensed(*map(np.array, (reading.q, reading.qd, reading.tau, reading.wrench))), dt_s
-            )
+            effort = each_law.step(Sensed(*map(np.array, (reading.q, reading.qd, reading.tau, reading.wrench))), dt_s)
             plant.command(each, effort.torque, effort.base_force, effort.stiffness)
         before = plant.state_row() if tick % RECORD_TICKS == 0 else None
         plant.step()
@@ -269,7 +268,10 @@ def main() -> None:
                     print(failed, flush=True)
                 values = ["-" if value is None else f"{value:.3f}" for value in shown]
                 if plain:
-                    print(f"{law:10} {name:13} {seed} " + " ".join(f"{v:>8}" for v in values) + f" {wall:6.1f}", flush=True)
+                    print(
+                        f"{law:10} {name:13} {seed} " + " ".join(f"{v:>8}" for v in [*values, f"{wall:.0f}"]),
+                        flush=True,
+                    )
                 table.add_row(law, name, str(seed), *values, f"{wall:.0f}")
     if not plain:
         Console().print(table)

@@ -1,7 +1,7 @@
 """Springs and dampers of the hand in its own directions, brought to the joints by the transposed Jacobian. (Ours.)
 
 A force on the hand through J^T is that force and nothing else: what lifts does not push sideways. No inertia is shaped,
-so a spring and a damper stay passive whatever the load and however wrong the model.
+so spring and damper take power up whatever the load and however wrong the model.
 """
 
 from __future__ import annotations
@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.equations.bounds import limited
+
 Array = NDArray[np.float64]
 
 
 def stiffening(K_least: Array, K_most: Array, x_err: Array, x_soft: Array) -> Array:
     """Wanted stiffness of each direction, (m,): K_least + (K_most - K_least) s / (1 + s) with s = (x_err / x_soft)^2.
 
-    The idea of the paper's eq. 15, stiffer with the error and by its square, where the load is felt instead of joint by
-    joint; and with an end, beyond which a real drive could not go.
+    The idea of the paper's eq. 15, stiffer with the square of the error, in the directions in which the load is felt
+    instead of joint by joint; and with an end.
 
     Args:
         K_least, K_most: without an error, and with an endless one; (m,) N/m, N m/rad.
@@ -29,15 +31,37 @@ def stiffening(K_least: Array, K_most: Array, x_err: Array, x_soft: Array) -> Ar
     return K_least + (K_most - K_least) * (s / (1.0 + s))
 
 
+def stiffness_step(K: Array, wanted: Array, rise: Any) -> Array:
+    """Stiffness one step on, (m,): ``wanted``, but between K / rise and K rise. ``rise``: exp(rate dt).
+
+    With its relative rate bounded, a spring that stiffens gives no more than its damper takes: see
+    :func:`stability_margin`.
+    """
+    K_next: Array = limited(wanted, K / rise, K * rise)
+    return K_next
+
+
+def stability_margin(K: Array, K_rate: Array, D: Array, D_rate: Array, alpha: float) -> Array:
+    """Kronander and Billard 2016 (Stability considerations for variable impedance control), theorem 1, direction
+    by direction, (m,): 2 alpha K - K_rate - alpha D_rate. Not negative: the hand comes to rest.
+
+    Args:
+        K, K_rate: N/m, N/(m s).
+        D, D_rate: N s/m, N/m.
+        alpha: 1/s, at most D over the inertia, the load's share included.
+    """
+    return 2.0 * alpha * K - K_rate - alpha * D_rate
+
+
 def damping(K: Array, Lambda: Array, zeta: float) -> Array:
     """Damping that goes with the stiffness, (m,): 2 zeta sqrt(K_i Lambda_ii).
 
     Args:
         K: stiffness, (m,) N/m, N m/rad.
         Lambda: inertia in these directions, (m, m).
-        zeta: damping ratio of the free arm, 1.
+        zeta: damping ratio of the free arm.
     """
-    D: Array = 2.0 * zeta * np.sqrt(K * np.diag(Lambda))
+    D: Array = np.sqrt(K * np.diag(Lambda)) * (2.0 * zeta)
     return D
 
 
@@ -48,7 +72,7 @@ def spring_force(K: Array, x_err: Array, D: Array, xd: Array) -> Array:
 
 def stiffness_power(K_rate: Array, x_err: Array) -> Any:
     """Power that a changing stiffness puts into its spring, W: half of sum K_rate_i x_err_i^2."""
-    return 0.5 * (K_rate @ (x_err * x_err))
+    return (K_rate @ (x_err * x_err)) * 0.5
 
 
 def damping_power(D: Array, xd: Array) -> Any:

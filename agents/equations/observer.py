@@ -28,26 +28,24 @@ def momentum_rate(tau: Array, C: Array, qd: Array, g: Array) -> Array:
     return tau + C.T @ qd - g
 
 
-def observer_gain(rate: float, leak: float) -> float:
-    """What the observer tells of a torque that stays, 1: rate / (rate + leak).
+def felt_torque(p: Array, p_before: Array, model_rate: Array, dt_s: Any) -> Array:
+    """Mean external torque since the step before, (n,) N m: (p - p_before) / dt - :func:`momentum_rate`.
 
-    An arm that gives back this part of what it feels is as stiff for slow loads as its spring over one minus it.
+    As noisy as the velocities over dt; summed up by an observer, only the noise of the last velocity is left.
     """
-    return rate / (rate + leak)
+    felt: Array = (p - p_before) / dt_s - model_rate
+    return felt
 
 
-def leaky_observer(r: Array, tau_ext: Array, gain: float, keep: Any) -> Array:
-    """The observed external torque one step on, (n,) N m: keep r + (1 - keep) gain tau_ext.
+def leaky(memory: Array, new: Array, gain: float, keep: Any) -> Array:
+    """A leaky observer's memory one step on: keep memory + (1 - keep) gain new.
 
-    The exact solution of rdot = rate (tau_ext - r) - leak r over a step in which tau_ext is constant, so it does not
-    depend on how the steps are cut. Without the leak, arms on one body that differ by a hair would wind up against each
-    other for ever; with it their forces settle.
+    The exact solution of ydot = rate (new - y) - leak y over a step in which ``new`` is constant, with gain = rate /
+    (rate + leak) and keep = exp(-(rate + leak) dt); so it does not depend on how the time is cut into steps. For an
+    error that the memory itself acts on, ydot = rate new - leak y: gain = rate / leak and keep = exp(-leak dt).
 
-    Args:
-        r: observed until now, (n,) N m.
-        tau_ext: mean external torque of this step, (n,) N m: the change of momentum over dt, less
-            :func:`momentum_rate`.
-        gain: :func:`observer_gain`.
-        keep: exp(-(rate + leak) dt).
+    Arms on one body that differ by a hair would without the leak wind up against each other for ever; with it their
+    forces settle.
     """
-    return keep * r + (1.0 - keep) * gain * tau_ext
+    updated: Array = memory * keep + new * (1.0 - keep) * gain
+    return updated
