@@ -9,7 +9,6 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from agents.arm_model import ArmModel
-from agents.controllers.better import BetterController
 from agents.controllers.interface import Controller, ControllerFactory
 from agents.controllers.palanquin import PalanquinController
 from agents.controllers.paper import PaperController
@@ -17,7 +16,6 @@ from agents.errors import ControllerError
 
 CONTROLLERS: Mapping[str, ControllerFactory] = {
     "paper": PaperController,
-    "better": BetterController,
     "palanquin": PalanquinController,
 }
 """The laws that come with Palanquin."""
