@@ -9,7 +9,7 @@ that list is compiled.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from math import cos, prod, sin
+from math import cos, prod, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ OF_NUMBERS: Mapping[str, Callable[..., float]] = {
     "abs": abs,
     "sin": sin,
     "cos": cos,
+    "sqrt": sqrt,
 }
 
 
@@ -166,6 +167,10 @@ class Symbol:
     def cos(self) -> Symbol | float:
         """Likewise."""
         return self.tape.do("cos", self)
+
+    def sqrt(self) -> Symbol | float:
+        """Likewise."""
+        return self.tape.do("sqrt", self)
 
 
 class Traced:

@@ -41,6 +41,7 @@ from agents.equations.null_space import (
     null_damping,
     null_inertia,
     null_inverse,
+    null_projection,
     null_torque_projected,
     null_velocity,
 )
@@ -282,3 +283,10 @@ def test_continued_basis_stays_orthonormal_and_continuous_over_a_long_motion() -
         assert np.abs(then.J @ Z).max() < 1e-12  # rounding: J J# = I
         assert np.abs(Z.T @ Z - np.eye(4)).max() < 2.4e-6
         assert np.abs(Z - before).max() < 4e-3  # they turn by up to |J#| |Jdot| 1 ms: 2.9e-3 measured
+
+
+def test_a_torque_that_is_projected_does_not_accelerate_the_task() -> None:
+    rng = np.random.default_rng(32)
+    for state in STATES:
+        tau = null_projection(state.J, state.Jbar, 50.0 * rng.standard_normal(7))
+        close(state.J @ state.arm.M_inv @ tau, np.zeros(3), 100 * ALGEBRA)  # accelerations of 1e3

@@ -31,7 +31,7 @@ def every_operation(a: Array, b: Array, S: Array) -> tuple[Array, Array]:
     """All that a symbol can do, from both sides."""
     return 1.0 + a - 2.0 * b / 3.0 + np.abs(a - b) ** 2 - a * b, 5.0 - S @ a / (4.0 + b * b) - (
         3.0 / (a * a + 1.0)
-    ) + -a + np.sin(a) * np.cos(b)
+    ) + -a + np.sin(a) * np.cos(b) + np.sqrt(a * a + 1.0)
 
 
 @given(st.lists(st.floats(-10, 10), min_size=12, max_size=12))

@@ -9,12 +9,15 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from agents.arm_model import ArmModel
-from agents.controllers.better import BetterController
 from agents.controllers.interface import Controller, ControllerFactory
+from agents.controllers.palanquin import PalanquinController
 from agents.controllers.paper import PaperController
 from agents.errors import ControllerError, GainError
 
-CONTROLLERS: Mapping[str, ControllerFactory] = {"paper": PaperController, "better": BetterController}
+CONTROLLERS: Mapping[str, ControllerFactory] = {
+    "paper": PaperController,
+    "palanquin": PalanquinController,
+}
 """The laws that come with Palanquin."""
 
 

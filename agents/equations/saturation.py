@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.equations.bounds import limited
+
 Array = NDArray[np.float64]
 
 
@@ -24,7 +26,5 @@ def yield_moment(tau: Array, J_w: Array, tau_max: Array, joints: Sequence[int]) 
         joints: which may yield, in this order: the last ones, whose axes the hand's moments go through.
     """
     for i in joints:
-        excess = tau[i] - min(max(tau[i], -tau_max[i]), tau_max[i])
-        if excess:
-            tau = tau - excess * (J_w.T @ J_w[:, i])
+        tau = tau - (J_w.T @ J_w[:, i]) * (tau[i] - limited(tau[i], -tau_max[i], tau_max[i]))
     return tau

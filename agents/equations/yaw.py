@@ -21,3 +21,23 @@ def yaw_moment(ahead: Array, ahead_held: Array, yaw_rate: Any, k: float, b: floa
         k, b: N m/rad, N m s/rad.
     """
     return k * (ahead[0] * ahead_held[1] - ahead[1] * ahead_held[0]) - b * yaw_rate
+
+
+def yaw_sine(ahead_held: Array, ahead: Array) -> Any:
+    """Sine of the angle that the hand's x axis has turned by, about the base's z; both (3,) unit vectors in B. Ours."""
+    return ahead_held[0] * ahead[1] - ahead_held[1] * ahead[0]
+
+
+def reaction_moment(p: Array, F: Array, moment: Any) -> Any:
+    """Moment about the base's z, N m, that keeps the base from being turned by what its hand does: (p x F)_z + moment.
+    Ours.
+
+    A hand that holds a load by its yaw pushes the base round the other way; a base with nothing but the resistance of
+    its wheels gives way, and the load with it.
+
+    Args:
+        p: the hand in B, (3,) m.
+        F: its force on the load in the plane, (2,) N.
+        moment: its moment on the load about z, N m.
+    """
+    return p[0] * F[1] - p[1] * F[0] + moment

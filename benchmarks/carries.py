@@ -1,0 +1,281 @@
+"""Carries in one process, without a wire: ``python benchmarks/carries.py LAWS [CONDITIONS [SEEDS [KEY=VALUE ...]]]``.
+
+LAWS and CONDITIONS are names with commas between them, SEEDS as well; ``all`` is every condition. The rest are gains.
+The same plant, leader and laws as in a run, on the same numbers, some five times as fast as real time: for comparing
+laws over many conditions. What disturbs is done to the plant directly. Prints, asserts nothing.
+
+    python benchmarks/carries.py paper,palanquin transport,lost 1,2,3
+    python benchmarks/carries.py palanquin all 1 observer_rate_1_s=0.0
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the launcher does for every process of a run
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from agents.arm_model import ArmModel
+from agents.controllers import make_controller
+from agents.controllers.interface import Sensed
+from agents.leader import LeaderSettings, pull
+from agents.safety import SafeController
+from sim_server.errors import PlantFailed
+from sim_server.metrics import Metrics, TraceFacts, physical_metrics
+from sim_server.mujoco_plant import MujocoPlant
+from sim_server.scenario import Scenario
+from sim_server.scenario_files import load_scenario
+from sim_server.trace import columns
+from sim_server.world import World, build_world
+from wire.arms.limits import arm_limits
+from wire.messages import LeaderView
+
+Array = NDArray[np.float64]
+RECORD_TICKS = 10
+
+HARD_LEADER = {"stiffness_N_m": 40.0, "damping_Ns_m": 120.0}
+"""The leader that lets a load swing: see docs/results.md."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A disturbance of the plant, in the world's axes."""
+
+    from_s: float
+    to_s: float
+    hand: str = ""
+    """The arm whose hand is pushed; empty: the load."""
+    force_N: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    torque_Nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One thing that a law has to stand."""
+
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    """Of the scenario ``transport``."""
+    differences: float = 1.0
+    """Factor on the plant's differences and noises."""
+    push: Push | None = None
+    lost_s: float | None = None
+    """When arm a2 goes limp."""
+    slips_s: float | None = None
+    """When a2's hand, which holds badly from the start, slips off."""
+    scenario: str = "transport"
+
+
+def team(count: int, mass_kg: float, duration_s: float, leader: Mapping[str, float]) -> Condition:
+    """A team of that size, with a table that it fits around."""
+    return Condition(
+        {
+            "team": {"count": count},
+            "load": {"struts": count, "size_m": [max(1.6, 0.45 * count), 0.9, 0.75], "mass_kg": mass_kg},
+            "leader": dict(leader),
+            "duration_s": duration_s,
+        }
+    )
+
+
+ACROSS = Push(3.0, 5.0, "a2", (0.0, 50.0, 0.0))
+ALONG = Push(3.0, 5.0, "a2", (50.0, 0.0, 0.0))
+TURN = Push(3.0, 5.0, torque_Nm=(0.0, 0.0, 30.0))
+SHORT = {"duration_s": 12.0}
+
+CONDITIONS: Mapping[str, Condition] = {
+    "transport": Condition(),
+    "transport-x3": Condition(SHORT, 3.0),
+    "across-x3": Condition(SHORT, 3.0, ACROSS),
+    "along-x3": Condition(SHORT, 3.0, ALONG),
+    "turn-x3": Condition(SHORT, 3.0, TURN),
+    "failed-x3": Condition(SHORT, 3.0, slips_s=1.0),
+    "lost-x3": Condition({"duration_s": 12.0}, 3.0, lost_s=1.0),
+    "lost": Condition({"duration_s": 20.0}, lost_s=1.0),
+    "dropout": Condition({"duration_s": 20.0}, lost_s=5.0),
+    "delay-20": Condition({"duration_s": 12.0, "plant": {"delay_ticks": 20}}),
+    "hold": Condition({"duration_s": 8.0}, scenario="hold"),
+    "one": Condition({"duration_s": 20.0}, scenario="transport-one"),
+    "four": team(4, 20.0, 25.0, {}),
+    "eight": team(8, 60.0, 35.0, {}),
+    "sixteen": team(16, 120.0, 50.0, {}),
+    "four-hard": team(4, 20.0, 30.0, HARD_LEADER),
+    "eight-hard": team(8, 60.0, 40.0, HARD_LEADER),
+    "sixteen-hard": team(16, 120.0, 50.0, HARD_LEADER),
+    "long-offset": Condition(
+        {"load": {"size_m": [2.4, 1.0, 0.75], "centre_of_mass_offset_m": [0.3, 0.1, 0.0]}, "duration_s": 15.0}, 3.0
+    ),
+    "heavy": Condition({"load": {"mass_kg": 30.0}, "duration_s": 12.0}, 3.0),
+    "crate": Condition({"load": {"shape": "crate", "size_m": [1.2, 1.2, 0.5]}, "duration_s": 12.0}, 3.0),
+    "two": Condition({"team": {"count": 2}, "load": {"mass_kg": 8.0}, "duration_s": 15.0}, 3.0),
+    "six": Condition({"duration_s": 25.0}, scenario="transport-six"),
+    "period-4ms": Condition({"duration_s": 10.0, "clock": {"control_period_ms": 4}, "leader": {"period_ms": 12}}),
+}
+
+
+class DisturbedPlant(MujocoPlant):
+    """The plant, and somebody who pushes."""
+
+    def __init__(self, world: World, push: Push | None) -> None:
+        self._push = push
+        super().__init__(world)
+
+    def _apply_efforts(self) -> None:
+        super()._apply_efforts()
+        push = self._push
+        if push is None:
+            return
+        body = self.world.arms[push.hand].hand_body if push.hand else self.world.load_body
+        wrench = np.array([*push.force_N, *push.torque_Nm]) * (push.from_s <= self.time_s < push.to_s)
+        if push.hand:
+            self._data.xfrc_applied[body] = wrench
+        else:
+            self._data.xfrc_applied[body] += wrench
+
+
+@dataclass
+class Carried:
+    """What came of it."""
+
+    metrics: Metrics
+    trace: Mapping[str, Array]
+    wall_s: float
+
+
+def scenario_of(condition: Condition, seed: int) -> Scenario:
+    """The condition's scenario."""
+    changes = json.loads(json.dumps(condition.changes)) | {"seed": seed}
+    plain = load_scenario(condition.scenario, changes).scenario
+    scaled = {
+        name: condition.differences * getattr(plain.plant, name)
+        for name in type(plain.plant).model_fields
+        if name not in ("physics_step_ms", "delay_ticks")
+    }
+    return plain.model_copy(update={"plant": plain.plant.model_copy(update=scaled)})
+
+
+def carry(law: str, condition: Condition, seed: int = 1, gains: Mapping[str, Any] | None = None) -> Carried:
+    """Carry once. Raises :class:`sim_server.errors.PlantFailed` if the load is thrown away."""
+    began = time.perf_counter()
+    scenario = scenario_of(condition, seed)
+    world = build_world(scenario)
+    plant, arm, limits = DisturbedPlant(world, condition.push), ArmModel(scenario.team.arm), arm_limits("panda")
+    laws = {
+        each: SafeController("law", make_controller(law, arm, gains or {}), arm, scenario.team.handover_s)
+        for each in scenario.arms
+    }
+    for each_law in laws.values():
+        each_law.carry_at(plant.carry_height_m)
+    dt_s = scenario.seconds(1)
+    leader = scenario.leader
+    if condition.slips_s is not None:
+        plant.loosen("a2", 20.0)
+    rows: list[Array] = []
+    for tick in range(scenario.ticks):
+        if condition.lost_s is not None and tick == round(condition.lost_s / dt_s):
+            plant.lose("a2")
+            del laws["a2"]
+        if condition.slips_s is not None and tick == round(condition.slips_s / dt_s):
+            plant.slip("a2")
+            del laws["a2"]
+        readings = plant.read()
+        if leader is not None and tick * scenario.clock.control_period_ms % leader.period_ms == 0:
+            pose = plant.load_pose()
+            view = LeaderView(
+                tick,
+                round(tick * dt_s * 1e9),
+                tuple(pose.position.tolist()),
+                tuple(pose.quat_wxyz.tolist()),
+                tuple(pose.linear_velocity.tolist()),
+                tuple(pose.angular_velocity.tolist()),
+            )
+            told = LeaderSettings(
+                "", leader.goal_m, leader.force_max_N, leader.stiffness_N_m, leader.damping_Ns_m, leader.point
+            )
+            plant.pull(leader.point, pull(view, np.array(plant.points[leader.point]), told))
+        for each, each_law in laws.items():
+            reading = readings[each]
+            effort = each_law.step(Sensed(*map(np.array, (reading.q, reading.qd, reading.tau, reading.wrench))), dt_s)
+            plant.command(each, effort.torque, effort.base_force, effort.stiffness)
+        before = plant.state_row() if tick % RECORD_TICKS == 0 else None
+        plant.step()
+        if before is not None:
+            rows.append(np.concatenate([np.ravel(part) for part in plant.force_row(before)]))
+    trace = _named(np.array(rows), scenario.arms, limits.joints)
+    facts = TraceFacts(
+        scenario.arms,
+        leader.goal_m if leader else None,
+        world.load_mass,
+        (float(world.load_com[0]), float(world.load_com[1]), float(world.load_com[2])),
+        {each: world.struts[ids.strut].p.tolist() for each, ids in world.arms.items()},
+        limits.torque_Nm,
+    )
+    return Carried(physical_metrics(trace, facts), trace, time.perf_counter() - began)
+
+
+def _named(rows: Array, arms: Sequence[str], joints: int) -> Mapping[str, Array]:
+    found, start = {}, 0
+    for name, width in columns(arms, joints).items():
+        found[name] = rows[:, start : start + width] if width > 1 else rows[:, start]
+        start += width
+    return found
+
+
+SHOWN = {
+    "tilt": "tilt_max_deg",
+    "tilt rms": "tilt_rms_deg",
+    "sag": "sag_max_mm",
+    "yaw": "yaw_max_deg",
+    "over": "overshoot_m",
+    "arrival": "arrival_time_s",
+    "error": "goal_error_m",
+    "end mm/s": "end_speed_mm_s",
+    "internal": "internal_force_rms_N",
+    "limit": "torque_limit_fraction",
+    "torque": "torque_rms_Nm",
+}
+
+
+def main() -> None:
+    laws, names, seeds = (sys.argv[1:] + ["all", "1"][len(sys.argv) - 2 :])[:3]
+    gains: dict[str, Any] = {}
+    for word in sys.argv[4:]:
+        key, _, value = word.partition("=")
+        gains[key] = json.loads(value)
+    plain = not sys.stdout.isatty()
+    table = Table("law", "condition", "seed", *SHOWN, "wall s")
+    head = f"{'law':10} {'condition':13} s " + " ".join(f"{each:>8}" for each in SHOWN) + "   wall"
+    if plain:
+        print(head, flush=True)
+    for name in CONDITIONS if names == "all" else names.split(","):
+        for law in laws.split(","):
+            for seed in map(int, seeds.split(",")):
+                try:
+                    done = carry(law, CONDITIONS[name], seed, gains)
+                    shown = [done.metrics[key] for key in SHOWN.values()]
+                    wall = done.wall_s
+                except PlantFailed as failed:
+                    shown, wall = [None] * len(SHOWN), 0.0
+                    print(failed, flush=True)
+                values = ["-" if value is None else f"{value:.3f}" for value in shown]
+                if plain:
+                    print(
+                        f"{law:10} {name:13} {seed} " + " ".join(f"{v:>8}" for v in [*values, f"{wall:.0f}"]),
+                        flush=True,
+                    )
+                table.add_row(law, name, str(seed), *values, f"{wall:.0f}")
+    if not plain:
+        Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
