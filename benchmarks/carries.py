@@ -129,8 +129,8 @@ class DisturbedPlant(MujocoPlant):
         self._push = push
         super().__init__(world)
 
-    def _apply_efforts(self) -> None:
-        super()._apply_efforts()
+    def _apply_efforts(self, substep: int = 0) -> None:
+        super()._apply_efforts(substep)
         push = self._push
         if push is None:
             return
@@ -158,7 +158,7 @@ def scenario_of(condition: Condition, seed: int) -> Scenario:
     scaled = {
         name: condition.differences * getattr(plain.plant, name)
         for name in type(plain.plant).model_fields
-        if name not in ("physics_step_ms", "delay_ticks")
+        if name not in ("physics_step_ms", "delay_ticks", "difference_scale", "start_offset_m", "start_yaw_rad")
     }
     return plain.model_copy(update={"plant": plain.plant.model_copy(update=scaled)})
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from agents.arm_model import ArmModel
+from agents.controllers import make_controller
 from deploy.paper.ablations import ABLATIONS, ablation_runs
 from deploy.paper.batch import Done, is_there, run_missing
 from deploy.paper.plan import Run, merged, section_vi_runs
@@ -32,6 +34,10 @@ def leave(root: Path, done: Run, **changed: Any) -> None:
     (folder / TRACE).touch()
 
 
+def planned() -> list[Run]:
+    return [*section_vi_runs(range(1, 2)), *ablation_runs(range(1, 2))]
+
+
 class Written:
     """An engine that leaves what it is told to, and remembers what it was asked for."""
 
@@ -48,10 +54,16 @@ class Written:
             yield Done(each, root / each.name, problem)
 
 
-@pytest.mark.parametrize("each", [*section_vi_runs(range(1, 2)), *ablation_runs(range(1, 2))], ids=lambda run: run.name)
+@pytest.mark.parametrize("each", planned(), ids=lambda run: run.name)
 def test_every_planned_run_is_a_scenario_and_its_settings_say_the_same_as_its_changes(each: Run) -> None:
     changes = scenario_changes(each.seed, each.settings())
     assert load_scenario(each.scenario, changes).scenario.model_dump(mode="json") == each.resolved()
+
+
+def test_every_planned_law_takes_the_gains_that_it_is_planned_with() -> None:
+    teams = {json.dumps([each.resolved()["team"][key] for key in ("arm", "controller", "gains")]) for each in planned()}
+    for arm, controller, gains in map(json.loads, sorted(teams)):
+        make_controller(controller, ArmModel(arm), gains)
 
 
 def test_no_two_planned_runs_share_a_folder() -> None:

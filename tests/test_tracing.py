@@ -91,6 +91,7 @@ GAINS: list[dict[str, Any]] = [
     {},
     {"adaptive": False},
     {"drift_compensation": False},
+    {"observer": False},
     {"alpha": 1.0, "beta": 3.0},
     {"null_restoring": False, "yaw_stiffness_Nm_rad": 60.0, "yaw_damping_Nms_rad": 10.0},
 ]

@@ -62,6 +62,8 @@ class PaperGains(ReferenceGains):
     """Eq. 15, per degree as printed."""
     adaptive: bool = True
     """Eq. 15 on (K_var) or off (K_nu stays)."""
+    observer: bool = True
+    """Eq. 10 on (tau_e = K J# x_err) or off (zero)."""
     drift_compensation: bool = True
     """The Jdot qd term that eq. 9 leaves out (ours)."""
     base_stiffness_N_m: NotNegative = 2000.0
@@ -122,7 +124,8 @@ def paper_law(
     xdd_c = task_acceleration(xdd_d, xd_err, x_err, B_e, K_e)
     if gains.drift_compensation:
         xdd_c = xdd_c - task_drift(Jdot_x, qd)
-    tau_task = task_torque(J_x, Lambda_x, xdd_c, Jbar, external_torque(K, Jbar, x_err))
+    tau_e = external_torque(K, Jbar, x_err) if gains.observer else np.zeros(len(K_nu))
+    tau_task = task_torque(J_x, Lambda_x, xdd_c, Jbar, tau_e)
 
     K_null = K if gains.null_restoring else np.zeros(len(K_nu))
     tau_null = null_torque_projected(J_x, Jdot_x, Jbar, Lambda_x, C, D, qd, K_null, q_err)

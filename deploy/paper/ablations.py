@@ -47,6 +47,25 @@ SI_READING: Changes = {
 }
 """The printed gains as if they were per radian; the law multiplies beta by (180/pi)^1.5, which is taken out here."""
 
+SWEEPS: tuple[Ablation, ...] = (
+    Ablation(
+        "mass",
+        "unknown mass in the hand, kg",
+        {f"{mass:g}": {"load": {"mass_kg": mass}} for mass in (0.5, 1.5, 2.5, 3.0)},
+        presets=("fixed", "paper"),
+        scenario="trajectory",
+    ),
+    Ablation(
+        "beta",
+        "beta of eq. 15, 2.5 kg",
+        {f"{beta:g}": {"team": {"gains": {"beta": beta}}} for beta in (0.0, 25.0, 50.0, 100.0, 200.0)},
+        presets=("paper",),
+        scenario="trajectory",
+    ),
+)
+"""The trajectory of VI-B, swept."""
+SWEEP_S = 12.0
+
 ABLATIONS: tuple[Ablation, ...] = (
     Ablation(
         "reading",
@@ -88,7 +107,10 @@ ABLATIONS: tuple[Ablation, ...] = (
     Ablation(
         "rate",
         "control rate, Hz",
-        {f"{1000 // period}": {"clock": {"control_period_ms": period}} for period in (4, 2, 1)},
+        {
+            f"{1000 // period}": {"clock": {"control_period_ms": period}, "leader": {"period_ms": 12}}
+            for period in (4, 2, 1)
+        },
     ),
     Ablation("arms", "number of arms, 5 kg each", {f"{count}": team_of(count) for count in (2, 3, 4, 8, 16)}),
     Ablation(
@@ -110,10 +132,11 @@ ABLATIONS: tuple[Ablation, ...] = (
 
 
 def ablation_runs(seeds: range) -> Iterator[Run]:
-    """Every run of every ablation."""
-    for ablation in ABLATIONS:
+    """Every run of every ablation and sweep."""
+    for ablation in (*ABLATIONS, *SWEEPS):
         for preset in ablation.presets:
             for value, changes in ablation.values.items():
-                changed = merged(merged(merged({"duration_s": CARRY_S}, RECORD), PRESETS[preset]), changes)
+                length: Changes = {"duration_s": CARRY_S if ablation in ABLATIONS else SWEEP_S}
+                changed = merged(merged(merged(length, RECORD), PRESETS[preset]), changes)
                 for seed in seeds:
                     yield Run(ablation.name, value, preset, ablation.scenario, changed, seed)

@@ -36,7 +36,7 @@ def paper(
     ray_address: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster.")] = None,
 ) -> None:
     """Run every experiment of the paper's section VI, and set its claims beside what was measured."""
-    from deploy.paper.ablations import ABLATIONS, ablation_runs
+    from deploy.paper.ablations import ABLATIONS, SWEEPS, ablation_runs
     from deploy.paper.batch import LocalEngine, RayEngine, missing, run_missing
     from deploy.paper.making import make_report
     from deploy.paper.plan import SECTION_VI, section_vi_runs
@@ -45,7 +45,7 @@ def paper(
     wanted = list(section_vi_runs(range(1, 1 + (min(seeds, SHORT_SEEDS) if short else seeds)), short=short))
     if not short:
         wanted += ablation_runs(range(1, 1 + min(seeds, ABLATION_SEEDS)))
-    known = [*SECTION_VI, *(ablation.name for ablation in ABLATIONS)]
+    known = [*SECTION_VI, *(ablation.name for ablation in (*ABLATIONS, *SWEEPS))]
     for name in only or []:
         if name not in known:
             raise typer.BadParameter(f"--only {name}: expected one of {', '.join(known)}")

@@ -23,6 +23,7 @@ from deploy.paper.report import (
     conditions_table,
     describe,
     runs_table,
+    sweep_tables,
     to_html,
     write_json,
 )
@@ -150,6 +151,8 @@ def _text(
         claims_table(palanquin),
         "## All conditions, both laws",
         *(f"### {group}\n\n{conditions_table(results, group)}" for group in SECTION_VI),
+        "## VI-B, swept",
+        sweep_tables(results),
         "## What the paper leaves out",
         "One thing changed at a time, on the undisturbed carry of 12 s; fewer seeds.",
         ablation_tables(results),

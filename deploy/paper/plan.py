@@ -59,7 +59,7 @@ SECTION_VI: Mapping[str, tuple[Condition, ...]] = {
             "trajectory",
             "2.5 kg unknown, height 0.1 m at 0.25 Hz",
             "trajectory",
-            presets=("fixed", "paper", "palanquin"),
+            presets=("fixed", "paper"),
         ),
     ),
     "VI-C": (

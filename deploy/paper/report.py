@@ -10,10 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from deploy.paper.ablations import ABLATIONS
-from deploy.paper.judging import Judged
+from deploy.paper.ablations import ABLATIONS, SWEEPS
+from deploy.paper.claims import rms, summed_torque
+from deploy.paper.judging import Judged, height_error
 from deploy.paper.plan import SECTION_VI, Run
 from deploy.paper.results import Results
+from deploy.paper.statistics import spread
 from sim_server.run_description import versions
 from sim_server.run_folder import METRICS
 
@@ -81,6 +83,25 @@ def ablation_tables(results: Results) -> str:
         if rows:
             head = [ablation.label, "law", *(heading for _, heading in COMPARED)]
             parts.append(f"### {ablation.label.capitalize()}\n\n{table(head, rows)}")
+    return "\n".join(parts)
+
+
+def sweep_tables(results: Results) -> str:
+    """A table for each sweep of the trajectory: error of the hand's height, and the joints' summed torque."""
+    parts = []
+    for sweep in SWEEPS:
+        rows = []
+        for value in sweep.values:
+            for preset in sweep.presets:
+                where = sweep.name, value, preset
+                runs = [results.run(*where, seed) for seed in results.seeds(*where)]
+                error = spread(1e3 * rms(height_error(results, run)) for run in runs)
+                torque = spread(float(summed_torque(results.trace(run)).mean()) for run in runs)
+                if error and torque:
+                    rows.append([value, preset, error.text(), torque.text()])
+        if rows:
+            head = [sweep.label, "law", "height error, rms [mm]", "summed torque, mean [N m]"]
+            parts.append(f"### {sweep.label.capitalize()}\n\n{table(head, rows)}")
     return "\n".join(parts)
 
 
