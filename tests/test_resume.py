@@ -337,8 +337,8 @@ def test_a_run_that_has_ended(tmp_path: Path) -> None:
 def test_another_version(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     latest = copy / STATE
     data = latest.read_bytes()
-    latest.write_bytes(data.replace(b"checkpoint 1 ", b"checkpoint 7 ", 1))
-    assert "version 7, expected 1" in refused(copy)
+    latest.write_bytes(data.replace(b"checkpoint 2 ", b"checkpoint 7 ", 1))
+    assert "version 7, expected 2" in refused(copy)
     latest.write_bytes(data)
     rewrite(copy, {"versions": {"palanquin": "0.1.0", "mujoco": "2.0"}})
     assert "install mujoco 2.0" in refused(copy)
