@@ -49,6 +49,17 @@ class ArmSnapshot:
     """(3, 3)."""
 
 
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """What hangs on the wrist's sensor of an arm that holds nothing."""
+
+    mass: float
+    p_EC: Array
+    """Its centre of mass C, (3,) m in E."""
+    R_EW: Array
+    """The wrist's frame in E, (3, 3)."""
+
+
 class ArmModel:
     """Kinematics and dynamics of one arm on a level base.
 
@@ -131,6 +142,22 @@ class ArmModel:
         return Chain(
             tuple(links), tool.placement.translation.copy(), tool.placement.rotation.copy(), model.gravity.linear.copy()
         )
+
+    def beyond_the_wrist(self) -> Hand:
+        """The hand as its description has it. Raises :class:`AgentError` if it has no wrist."""
+        model = self._model
+        if not model.existFrame("wrist"):
+            raise AgentError(f"arm model {self.name}: no site named 'wrist' in its description")
+        tool, wrist = model.frames[self._tcp], model.frames[model.getFrameId("wrist")]
+        parts = [
+            (frame.inertia.mass, frame.placement.act(frame.inertia.lever))
+            for frame in model.frames
+            if frame.parentJoint == tool.parentJoint and frame.type == pin.FrameType.FIXED_JOINT
+        ]
+        mass = sum(each for each, _ in parts)
+        com = sum((each * place for each, place in parts), np.zeros(3)) / mass if mass else tool.placement.translation
+        R_E = tool.placement.rotation.T
+        return Hand(mass, R_E @ (com - tool.placement.translation), R_E @ wrist.placement.rotation)
 
     def _symmetric(self, filled_above: Array) -> Array:
         """The symmetric matrix of which Pinocchio fills the upper triangle only; always a copy."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_server.bad_grasp import BadGrasp
-from sim_server.layout import Array
+from sim_server.layout import Array, cross
 from sim_server.push_shapes import Wave, wave_of
 from sim_server.scenario_events import LoadPlace, Push
 from sim_server.snapshot import Snapshot
@@ -117,14 +117,15 @@ class Disturbances:
         force, torque = wrench[:3], wrench[3:]
         applied = data.xfrc_applied[ids.hand_body]
         applied[:3] += force
-        applied[3:] += torque + np.cross(data.site_xpos[ids.tcp_site] - data.xipos[ids.hand_body], force)
+        applied[3:] += torque + _moment(data.site_xpos[ids.tcp_site] - data.xipos[ids.hand_body], force)
         self.on_hands[self._row[arm]] += wrench
 
     def _push_load(self, point: LoadPlace, wrench: Array) -> None:
         world = self._world
-        R_WO = world.data.xmat[world.load_body].reshape(3, 3)
-        lever = np.zeros(3) if point == "centre_of_mass" else world.load_points[point] - world.load_com
-        about_com = np.concatenate([wrench[:3], wrench[3:] + np.cross(R_WO @ lever, wrench[:3])])
+        about_com = wrench.copy()
+        if point != "centre_of_mass":
+            R_WO = world.data.xmat[world.load_body].reshape(3, 3)
+            about_com[3:] += _moment(R_WO @ (world.load_points[point] - world.load_com), wrench[:3])
         world.data.xfrc_applied[world.load_body] += about_com
         self.on_load += about_com
 
@@ -133,9 +134,9 @@ class Disturbances:
         ids, data = self._world.arms[arm], self._world.data
         point = data.site_xpos[ids.grasp_site]
         self.on_load[:3] += force
-        self.on_load[3:] += np.cross(point - data.xipos[self._world.load_body], force)
+        self.on_load[3:] += _moment(point - data.xipos[self._world.load_body], force)
         self.on_hands[self._row[arm], :3] -= force
-        self.on_hands[self._row[arm], 3:] -= np.cross(point - data.site_xpos[ids.tcp_site], force)
+        self.on_hands[self._row[arm], 3:] -= _moment(point - data.site_xpos[ids.tcp_site], force)
 
     def state(self) -> Snapshot:
         """The bad grasps, the pushes that go on, how many have begun, and what nobody has reported yet."""
@@ -162,3 +163,7 @@ class Disturbances:
             self._pushes.append(each)
         self._begun, self._wrote = int(saved["begun"]), bool(saved["wrote"])
         self.news[:] = [(Push.model_validate(event), str(effect)) for event, effect in saved["news"]]
+
+
+def _moment(lever: Array, force: Array) -> tuple[float, float, float]:
+    return cross(lever.tolist(), force.tolist())

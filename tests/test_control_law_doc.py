@@ -11,6 +11,7 @@ from agents.equations import reference as reference_equations
 from agents.equations import saturation as saturation_equations
 from agents.equations import stiffness as stiffness_equations
 from agents.equations import task as task_equations
+from agents.equations import wrist as wrist_equations
 from agents.equations import yaw as yaw_equations
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "control-law.md"
@@ -31,6 +32,7 @@ def test_the_page_on_the_law_names_every_equation_and_no_other() -> None:
             saturation_equations,
             stiffness_equations,
             task_equations,
+            wrist_equations,
             yaw_equations,
         )
         for name, function in vars(module).items()

@@ -6,15 +6,16 @@ The printed gains are per degree (docs/control-law.md says why); here they stand
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agents.arm_model import ArmModel
+from agents.arm_model import ArmModel, Hand
 from agents.controllers.interface import Effort, Sensed
 from agents.controllers.reference import ReferenceGains
+from agents.controllers.wrist_input import WristInput
 from agents.equations.chain import Chain, chain_terms, inverse_of_inertia
 from agents.equations.law import base_force, joint_torque
 from agents.equations.null_space import null_projection, null_torque_projected
@@ -31,12 +32,14 @@ from agents.equations.task import (
     task_velocity,
     tilt_error,
 )
+from agents.equations.wrist import planar_momentum, planar_spring, planar_wrist_force
 from agents.equations.yaw import yaw_moment
 from agents.errors import ControllerError
 from agents.tracing import Traced
 
 Array = NDArray[np.float64]
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 
 TASK_ROWS = slice(2, 5)
 """Rows v_z, w_x, w_y of a hand Jacobian [v; w]."""
@@ -70,6 +73,13 @@ class PaperGains(ReferenceGains):
     """K_m."""
     base_damping_Ns_m: NotNegative = 20.0
     """B_m."""
+    base_input: Literal["displacement", "wrench"] = "displacement"
+    """Section IV-D: what drives the base, the hand's displacement or the force at the wrist."""
+    environment_stiffness_N_m: Positive = 100.0
+    """k_env of F_est = k_env dx. With ``displacement`` it cancels, and the hand is free in the plane; with ``wrench``
+    the hand is on a planar spring of this stiffness."""
+    wrench_filter_s: Positive = 0.05
+    """``wrench``: time constant of the low-pass."""
     null_restoring: bool = True
     """The term Z^T K q_err of eq. 13 on or off. A constant task error makes it push sideways, as if somebody pulled."""
     yaw_stiffness_Nm_rad: NotNegative = 0.0
@@ -134,6 +144,10 @@ def paper_law(
         moment = yaw_moment(R_BE[:, 0], ahead_held, J[5] @ qd, gains.yaw_stiffness_Nm_rad, gains.yaw_damping_Nms_rad)
         tau_null = tau_null + null_projection(J_x, Jbar, J[5] * moment)
 
+    if gains.base_input == "wrench":
+        spring = planar_spring(p_BE[:2] - p_held[:2], gains.environment_stiffness_N_m)
+        tau_null = tau_null + null_projection(J_x, Jbar, J[:2].T @ spring)
+
     F_m = base_force(p_BE[:2] - p_held[:2], J[:2] @ qd, gains.base_stiffness_N_m, gains.base_damping_Ns_m)
     return joint_torque(tau_task, tau_null, C, qd, g), np.array([*F_m, 0.0]), K
 
@@ -147,12 +161,16 @@ def law_of_the_arm(
     up_E: Array,
     ahead_held: Array,
     when: Array | None = None,
+    wrist_force: Array | None = None,
+    hand: Hand | None = None,
 ) -> tuple[Array, ...]:
     """:func:`paper_law` with the arm's terms worked out beside it, for joint positions q, (n,) rad; and for those who
     build on it the angular rows of the hand's Jacobian, (3 n,), and the hand's pose p_BE, (3,), and R_BE, (9,).
 
     Args:
         when: time since take-over, s, and the share of the reference's ramp that is over, (2,), if there is one.
+        wrist_force: as it is measured, (3,) N in the wrist's frame, if it drives the base.
+        hand: what hangs on the wrist; then the planar force on it and its momentum, (4,), come before the hand's pose.
     """
     now = chain_terms(chain, q, qd)
     desired: dict[str, Array] = {}
@@ -163,7 +181,11 @@ def law_of_the_arm(
         gains, qd=qd, M_inv=inverse_of_inertia(now.M), C=now.C, g=now.g, J=now.J, Jdot=now.Jdot, p_BE=now.p_BE,
         R_BE=now.R_BE, p_held=p_held, up_E=up_E, ahead_held=ahead_held, **desired,
     )  # fmt: skip
-    return torque, force, K, now.J[3:].ravel(), now.p_BE, now.R_BE.ravel()
+    felt: list[Array] = []
+    if wrist_force is not None and hand is not None:
+        momentum = planar_momentum(hand.mass, now.J[:3] @ qd, now.J[3:] @ qd, now.R_BE @ hand.p_EC)
+        felt = [np.concatenate([planar_wrist_force(wrist_force, now.R_BE @ hand.R_EW), momentum])]
+    return torque, force, K, now.J[3:].ravel(), *felt, now.p_BE, now.R_BE.ravel()
 
 
 STRAIGHT_DOWN = (0.0, 0.0, -1.0)
@@ -195,7 +217,13 @@ class PaperController:
         self._follows = self.gains.reference != "none"
         if self._follows:
             shapes["when"] = (2,)
-        self._law = Traced(partial(law_of_the_arm, arm.chain, self.gains), shapes)
+        self._by_force: WristInput | None = None
+        law = partial(law_of_the_arm, arm.chain, self.gains)
+        if self.gains.base_input == "wrench":
+            shapes["wrist_force"] = (3,)
+            law = partial(law, hand=arm.beyond_the_wrist())
+            self._by_force = WristInput(self.gains.environment_stiffness_N_m, self.gains.wrench_filter_s)
+        self._law = Traced(law, shapes)
         self._holds = False
         self._height_m: float | None = None
         self._elapsed_s, self._ramp_s = 0.0, self.gains.reference_ramp_s
@@ -218,9 +246,19 @@ class PaperController:
         if self._follows:
             when = inputs["when"]  # number by number: numpy takes longer over a tuple
             when[0], when[1] = self._elapsed_s, ramp_share(self._elapsed_s, self._ramp_s)
+        if self._by_force is not None:
+            inputs["wrist_force"][:] = sensed.wrench[:3]
         law()
-        torque, base_force, stiffness, *_ = law.outputs
-        return Effort(torque.copy(), base_force.copy(), stiffness.copy())
+        torque, drive, stiffness, *_ = law.outputs
+        if self._by_force is not None:
+            drive = self._driven_by_the_wrist(self._by_force, dt_s)
+        return Effort(torque.copy(), drive.copy(), stiffness.copy())
+
+    def _driven_by_the_wrist(self, wrist: WristInput, dt_s: float) -> Array:
+        """Equation 16 with the displacement that the force stands for, (3,) N, N, N m in B."""
+        felt, gains = self._law.outputs[4], self.gains
+        e, e_rate = wrist.step(felt[:2], felt[2:], dt_s)
+        return np.array([*base_force(e, e_rate, gains.base_stiffness_N_m, gains.base_damping_Ns_m), 0.0])
 
     def _hold(self) -> None:
         """Keep the pose of the hand as it is, or what was told of it."""
