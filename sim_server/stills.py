@@ -53,10 +53,11 @@ def draw_still(folder: Path, time_s: float, size: tuple[int, int] = SIZE) -> NDA
     except (OSError, ValueError, LookupError, TypeError) as error:
         problem = " ".join(str(error).split())
         raise RunFolderError(f"{folder}: nothing can be rendered of it: {type(error).__name__}: {problem}") from None
-    place = trace["load.position"][row]
-    lookat = np.array([place[0], place[1], 0.45])
+    way = trace["load.position"]
+    middle = (way.min(axis=0) + way.max(axis=0)) / 2  # the same for all of a run: who looks sees what has moved
+    span = max(scenario.load.size_m) + 0.5 * float(np.ptp(way[:, :2], axis=0).max())
     try:
-        return photograph(world.model, world.data, lookat, 2.2 + 1.6 * max(scenario.load.size_m), size)
+        return photograph(world.model, world.data, np.array([*middle[:2], 0.45]), 2.2 + 1.6 * span, size)
     except (ImportError, RuntimeError, AttributeError, OSError) as error:  # what is missing decides which
         raise CannotRender(MISSING_GL.format(problem=f"{os.environ.get('MUJOCO_GL', 'default')}: {error}")) from None
 
