@@ -94,7 +94,9 @@ class Disturbances:
         for arm, bad in self._bad.items():
             self._keep_spurious(arm, bad.push(self._dt_s))
         for each in self._pushes:
-            each.wrench = each.wave((step - each.begin) * self._dt_s) if step < each.end else np.zeros(6)
+            if step >= each.end:  # within the last tick
+                continue
+            each.wrench = each.wave((step - each.begin) * self._dt_s)
             if each.event.arm is None:
                 self._push_load(each.event.point or "centre_of_mass", each.wrench)
             else:

@@ -148,6 +148,7 @@ def test_a_push_in_the_middle_of_control_ticks_of_four_steps_has_its_whole_impul
     plant.push(push(point="centre_of_mass", force_N=(50.0, 0.0, 0.0), for_s=0.010))  # two ticks and a half
     step(plant, 5)
     assert momentum(plant)[0][0] == pytest.approx(0.5, abs=1e-9)
+    assert [effect for _, effect in plant.disturbances.news] == ["50 N and 0 N m act", "it has ended"]
 
 
 # How it goes over time
