@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from agents.equations import bounds as bounds_equations
+from agents.equations import impedance as impedance_equations
 from agents.equations import law as law_equations
 from agents.equations import null_space as null_equations
+from agents.equations import observer as observer_equations
 from agents.equations import reference as reference_equations
 from agents.equations import saturation as saturation_equations
 from agents.equations import stiffness as stiffness_equations
@@ -26,8 +29,11 @@ def test_the_page_on_the_law_names_every_equation_and_no_other() -> None:
     written = {
         name
         for module in (
+            bounds_equations,
+            impedance_equations,
             law_equations,
             null_equations,
+            observer_equations,
             reference_equations,
             saturation_equations,
             stiffness_equations,

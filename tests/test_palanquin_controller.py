@@ -50,7 +50,7 @@ def test_at_its_first_step_it_bears_what_the_arm_bore_but_for_the_leak() -> None
     J = arm().snapshot(HOME, STILL).J
     borne = gravity(HOME) + J.T @ [0.0, 0.0, 49.0, 1.0, -2.0, 0.0]
     effort = PalanquinController(arm()).step(sensed(HOME, tau=borne), 1e-3)
-    np.testing.assert_allclose(hand_wrench(effort, HOME), np.array([0, 0, 49.0, 1.0, -2.0, 0]) * 10 / 11, atol=1e-7)
+    np.testing.assert_allclose(hand_wrench(effort, HOME), np.array([0, 0, 49.0, 1.0, -2.0, 0]) * 10 / 18, atol=1e-7)
 
 
 def test_a_load_that_comes_later_is_taken_over_within_a_second() -> None:
@@ -58,7 +58,7 @@ def test_a_load_that_comes_later_is_taken_over_within_a_second() -> None:
     borne = gravity(HOME) + J.T @ [0.0, 0.0, 25.0, 0.0, 0.0, 0.0]
     for _ in range(1000):  # as if a brake held the arm still and something pulled its hand down
         effort = controller.step(sensed(HOME, tau=borne), 1e-3)
-    assert hand_wrench(effort, HOME)[2] == pytest.approx(25.0 * 10 / 11, rel=1e-3)
+    assert hand_wrench(effort, HOME)[2] == pytest.approx(25.0 * 10 / 18, rel=1e-3)
 
 
 def test_steps_of_one_millisecond_and_of_four_remember_the_same() -> None:

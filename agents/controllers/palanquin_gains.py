@@ -32,8 +32,9 @@ class PalanquinGains(BaseModel):
 
     observer_rate_1_s: NotNegative = 10.0
     """How fast the observer follows what the arm feels of the load. 0: no observer."""
-    observer_leak_1_s: Positive = 1.0
-    """How fast it forgets. A load that stays sags by leak / (rate + leak) of what the spring alone would give."""
+    observer_leak_1_s: Positive = 8.0
+    """How fast it forgets. A load that stays sags by leak / (rate + leak) of what the spring alone would give; the less
+    it sags, the more a hand that holds a millimetre too high takes from the others' load, or adds to it."""
 
     plane_stiffness_N_m: NotNegative = 40.0
     """Spring between hand and base in the plane: the brake. 0: nothing damps the plane but the leader."""
