@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.arm_model import ArmModel
-from agents.at_once import AtOnce
 from agents.controllers import make_controller
 from agents.controllers.interface import Sensed
 from agents.departure import Departure
@@ -184,11 +183,10 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome, departur
     in_real_time = welcome.clock == "real-time"
     receive = session.receive_newest if in_real_time else session.receive
     timeout_s = settings.state_timeout_s if in_real_time else 1.0
-    holding, at_once = False, AtOnce(session, follower, period_s)
+    holding = False
     while True:
         state = receive(timeout_s)
         if departure.wanted and not follower.is_retreating:
-            session.answer_at_once(None)
             follower.retreat()
             log.info("arm %s: leaves", settings.arm)
             session.say_leaving()  # last: whoever ordered it waits for that, and then sends the next state
@@ -211,7 +209,4 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome, departur
         holding = False
         if follower.has_retreated:  # the goodbye is the answer to this state: between which ticks it comes is certain
             return
-        command = follower.answer(state, session.lease, period_s)
-        if not in_real_time and not follower.is_retreating:
-            at_once.note(command.step_ns)
-        session.send(command)
+        session.send(follower.answer(state, session.lease, period_s))

@@ -13,7 +13,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from agents.arm_model import ArmModel
-from agents.controllers.interface import CarriesAt, Controller, Sensed
+from agents.controllers.interface import CarriesAt, Controller, Effort, Sensed
 from agents.errors import ControllerError
 from wire.arms.limits import arm_limits
 
@@ -82,6 +82,10 @@ class SafeController:
             effort = self._controller.step(sensed, dt_s)
         except Exception as error:  # a user's code may raise anything; the cause goes to the log with its traceback
             raise ControllerError(f"controller {self._name} failed: {type(error).__name__}: {error}") from error
+        if not isinstance(effort, Effort):
+            raise ControllerError(
+                f"controller {self._name}: step: got {type(effort).__name__}, expected an Effort (a return forgotten?)"
+            )
         torque = self._checked("torque", effort.torque, self._joints)
         base_force = self._checked("base_force", effort.base_force, 3)
         stiffness = self._checked("stiffness", effort.stiffness, self._joints)
@@ -97,9 +101,14 @@ class SafeController:
     def _checked(self, what: str, values: Array, size: int) -> list[float]:
         """The numbers in ``values``. Raises :class:`ControllerError` if they are not ``size`` finite ones."""
         if not isinstance(values, np.ndarray) or values.shape != (size,):
+            shape = f" of shape {values.shape}" if isinstance(values, np.ndarray) else ""
             raise ControllerError(
-                f"controller {self._name}: {what}: got {type(values).__name__} of shape {np.shape(values)}, "
-                f"expected a numpy array of shape ({size},)"
+                f"controller {self._name}: {what}: got {type(values).__name__}{shape}, expected a numpy array of shape "
+                f"({size},)"
+            )
+        if values.dtype.kind not in "fiu":
+            raise ControllerError(
+                f"controller {self._name}: {what}: got an array of {values.dtype}, expected one of real numbers"
             )
         numbers: list[float] = values.tolist()
         if not isfinite(sum(numbers)):  # a sum is finite only if all its terms are

@@ -9,7 +9,6 @@ import socket
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
 from contextlib import suppress
 
 from agents.errors import AgentError, NotWelcome
@@ -56,8 +55,7 @@ class AgentSession:
 
     def __init__(self, link: Link, keys: ArmKeys, sim_alive: str, hello: Hello) -> None:
         self._link, self._keys, self._hello = link, keys, hello
-        self._inbox: queue.SimpleQueue[bytes | Exception | None] = queue.SimpleQueue()
-        self._at_once: Callable[[bytes], bool] | None = None
+        self._inbox: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._simulator_is_there = threading.Event()
         self._has_token = self._is_in = False
         self._publisher = link.publisher(keys.command)
@@ -65,7 +63,7 @@ class AgentSession:
         self._early = 0
         """How many messages in the inbox were there with the welcome."""
         self.lease = 0
-        link.subscribe(keys.state, self._take)
+        link.subscribe(keys.state, self._inbox.put)
         link.watch_alive(sim_alive, self._on_simulator)
 
     def _on_simulator(self, alive: bool) -> None:
@@ -82,23 +80,6 @@ class AgentSession:
             self._inbox.put(WOKEN)
         return self._is_in
 
-    def _take(self, payload: bytes) -> None:
-        if self._at_once is None or not self._at_once(payload):
-            self._inbox.put(payload)
-
-    def answer_at_once(self, answer: Callable[[bytes], bool] | None) -> None:
-        """From now on show ``answer`` every message first, on the transport's own thread; what it does not deal with
-        (it returns False) comes by :meth:`receive` as ever. None: nobody is asked.
-
-        Saves two changes of thread a message. Whoever takes long there keeps the transport from its own work: after
-        half a second the sign of life is gone.
-        """
-        self._at_once = answer
-
-    def fail(self, error: Exception) -> None:
-        """Have :meth:`receive` raise this, on the thread that calls it."""
-        self._inbox.put(error)
-
     def rejoin(self, timeout_s: float) -> Welcome:
         """Wait for a simulator that is gone to come back, and greet it as :meth:`join` does.
 
@@ -112,7 +93,6 @@ class AgentSession:
             raise SimulatorGone(
                 f"{self._hello.name}: the simulator is gone and has not come back within {timeout_s:g} s"
             )
-        self.answer_at_once(None)
         while not self._inbox.empty():  # all of it is from before
             self._inbox.get()
         return self.join(max(TIME_TO_GREET_S, deadline - time.monotonic()), again=True)
@@ -181,7 +161,6 @@ class AgentSession:
             RunEnded: the simulator said so.
             SimulatorGone: its sign of life is gone.
             LostByTheSimulator: this agent was too late too often.
-            Exception: what :meth:`fail` was told.
         """
         try:
             payload = self._inbox.get(timeout=timeout_s)
@@ -190,8 +169,6 @@ class AgentSession:
         if payload == WOKEN:
             return None
         early, self._early = self._early > 0, max(0, self._early - 1)
-        if isinstance(payload, Exception):
-            raise payload
         if payload is None:
             self._is_in = False
             raise SimulatorGone(f"{self._hello.name}: the simulator is gone")
@@ -233,7 +210,6 @@ class AgentSession:
 
     def leave(self, timeout_s: float = 2.0) -> None:
         """Say goodbye; a simulator that is gone already is no error."""
-        self.answer_at_once(None)
         self._link.query(self._keys.hello, encode(Goodbye(self._hello.name, self.lease)), timeout_s)
 
 

@@ -28,6 +28,9 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 RECONNECT_S = 30.0
 """Time to start a simulator that was killed again, by hand. Agents of a launched run end with it."""
 
+LONGEST_S = 3600.0
+"""Of a time that something takes: an hour, and no infinity."""
+
 app = typer.Typer(
     name="palanquin",
     help="Robots that carry one load together without talking.",
@@ -152,9 +155,14 @@ def follower(
     connect: Connect = DEFAULT_ENDPOINT,
     arm_model: Annotated[str, typer.Option(help="The arm's description.")] = "panda",
     controller: Annotated[str, typer.Option(help="A law's name, or module:Class for your own.")] = "paper",
-    handover_s: Annotated[float, typer.Option(min=0.0, help="Time over which the law takes the load over.")] = 1.0,
+    handover_s: Annotated[
+        float, typer.Option(min=0.0, max=LONGEST_S, help="Time over which the law takes the load over.")
+    ] = 1.0,
     leave_s: Annotated[
-        float, typer.Option(min=0.0, help="Time over which it lets its share down when SIGTERM tells it to leave.")
+        float,
+        typer.Option(
+            min=0.0, max=LONGEST_S, help="Time over which it lets its share down when SIGTERM tells it to leave."
+        ),
     ] = 2.0,
     set_: Settings = None,
     walls: Walls = False,
@@ -308,7 +316,7 @@ def _raise_walls(connect: str) -> None:
 
 
 def main() -> None:
-    """Entry point: every error that we raise on purpose becomes one sentence and an exit status."""
+    """Every error that we raise on purpose becomes one sentence and an exit status."""
     with one_sentence():
         raise_on_signals()
         app()

@@ -224,6 +224,8 @@ class Launcher:
             while any(child.process.poll() is None for child in alive) and time.monotonic() < deadline:
                 time.sleep(POLL_S)
         for child in self._children:
+            with suppress(ProcessLookupError, PermissionError):  # what a law has started goes with it
+                os.killpg(child.process.pid, signal.SIGKILL)
             if child.process.stdin is not None:
                 with suppress(BrokenPipeError):
                     child.process.stdin.close()

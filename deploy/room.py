@@ -5,11 +5,14 @@ Not a log file: a process can see the path of a file that it has open, and from 
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
 import subprocess
 import tempfile
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -17,18 +20,32 @@ KEPT = ("LANG", "LANGUAGE", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "RUST
 """What an agent gets of the launcher's environment, besides what is made for it. No PATH: it starts no program."""
 
 
+PREFIX = "palanquin-room-"
+"""How the name of every room begins."""
+
+
 class Rooms:
-    """The rooms of one run; they go with everything in them."""
+    """The rooms of one run; they go with everything in them, and with those that a launcher left that was killed."""
 
     def __init__(self) -> None:
-        self._folders: list[Path] = []
+        self._folders: dict[Path, int] = {}
+        """Each with the descriptor that locks it while this launcher lives."""
         self._pumps: list[threading.Thread] = []
+        sweep()
 
     def make(self) -> Path:
         """A folder that only this user can enter; its name tells nothing, of its neighbours neither."""
-        folder = Path(tempfile.mkdtemp(prefix="palanquin-")).resolve()
-        self._folders.append(folder)
-        return folder
+        while True:
+            folder = Path(tempfile.mkdtemp(prefix=PREFIX)).resolve()
+            try:
+                lock = os.open(folder, os.O_RDONLY)
+            except FileNotFoundError:
+                continue  # swept
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if folder.exists():
+                self._folders[folder] = lock
+                return folder
+            os.close(lock)
 
     def keep_log(self, process: subprocess.Popen[bytes], log: Path) -> None:
         """Write what the process prints to ``log``, until it has ended."""
@@ -49,8 +66,23 @@ class Rooms:
         """Remove the rooms; what their owners printed last is written first."""
         for pump in self._pumps:
             pump.join(1.0)
-        for folder in self._folders:
+        for folder, lock in self._folders.items():
             shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
+        self._folders.clear()
+
+
+def sweep() -> None:
+    """Remove empty rooms that nobody locks any more: their launcher was killed, and their agents went with it."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        with suppress(OSError):  # somebody's own, in use, not empty, or gone meanwhile: not ours to remove
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                if os.fstat(lock).st_uid == os.getuid():
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    folder.rmdir()
+            finally:
+                os.close(lock)
 
 
 def room_environment(environment: Mapping[str, str], room: Path, code: Path) -> dict[str, str]:

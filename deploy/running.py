@@ -86,9 +86,11 @@ def _conclude(console: Console, folder: Path, status: int, problem: str, *, pict
         metrics, judged = compute_metrics(folder)
         print_metrics(console, metrics, judged)
         drawn = _draw(folder) if picture else None
-        console.print(f"run folder: {folder}" + (f" (picture: {drawn.name})" if drawn else ""), soft_wrap=True)
+        console.print(
+            f"run folder: {folder}" + (f" (picture: {drawn.name})" if drawn else ""), soft_wrap=True, markup=False
+        )
     else:
-        console.print(f"no metrics: the run did not end in order; run folder: {folder}", soft_wrap=True)
+        console.print(f"no metrics: the run did not end in order; run folder: {folder}", soft_wrap=True, markup=False)
     if problem:
         fail(problem, status)
     return status

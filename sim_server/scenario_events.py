@@ -109,6 +109,8 @@ def check_events(
     agents = [*arms, "leader"] if has_leader else list(arms)
     process = dict.fromkeys(agents, "running")
     slipped: set[str] = set()
+    held = {strut: arm for strut, arm in enumerate(arms, start=1)}
+    """Struts whose holders have not been disturbed yet."""
     for number, event in sorted(enumerate(events), key=lambda each: each[1].at_s):
         where = f"events.{number}"
         if event.at_s >= end_s:
@@ -120,8 +122,15 @@ def check_events(
                 )
             if event.strut > struts:
                 raise ValueError(f"{where}.strut: {event.strut}, but the load has {struts} struts")
-            process[event.arm] = "running"
+            if event.strut in held:
+                raise ValueError(
+                    f"{where}.strut: {event.strut} is taken by {held[event.strut]}, whom no event before takes from it: "
+                    "expected a free one"
+                )
+            process[event.arm], held[event.strut] = "running", event.arm
             continue
+        affected = event.arm if isinstance(event, FailGrasp) else getattr(event, "agent", None)
+        held = {strut: arm for strut, arm in held.items() if arm != affected}
         if isinstance(event, FailGrasp):
             if event.arm not in process or event.arm == "leader":
                 raise ValueError(f"{where}.arm: no arm {event.arm!r}; expected one of {', '.join(arms)}")

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from played_simulator import DEADLINE_S, KEYS, SETTINGS, ZERO, PlayedSimulator, Q, state, wait_for
 
-import agents.at_once
 import agents.retreat
 from agents.arm_model import ArmModel
 from agents.departure import Departure
@@ -207,14 +206,9 @@ def test_a_follower_that_is_told_to_leave_says_so_before_its_next_answer_and_ans
     assert simulator.ended.get(timeout=DEADLINE_S) == "enough", "the run may end meanwhile"
 
 
-@pytest.mark.parametrize("at_once", [False, True])
-def test_a_state_that_comes_with_the_notice_is_answered_by_the_retreat(
-    at_once: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_state_that_comes_with_the_notice_is_answered_by_the_retreat() -> None:
     """The simulator goes on as soon as it has the notice, before the follower has the reply: at which tick the retreat
-    begins must not depend on who is quicker, nor on which thread answers."""
-    monkeypatch.setattr(agents.at_once, "QUICK_STEPS", 2 if at_once else 1000)
-    monkeypatch.setattr(agents.at_once, "QUICK_NS", 10**12)
+    begins must not depend on who is quicker."""
 
     class Quick(Witness):
         def _answer(self, question: MemoryQuestion, reply: Welcome | Refusal) -> None:

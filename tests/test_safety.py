@@ -51,7 +51,10 @@ def says(torque: Array, base: Array | None = None, stiffness: Array | None = Non
             says(np.zeros(7), stiffness=np.zeros(8)),
             r"stiffness: got ndarray of shape \(8,\), expected a numpy array of shape \(7,\)",
         ),
-        (says(cast(Array, [0.0] * 7)), r"torque: got list of shape \(7,\), expected a numpy array of shape \(7,\)"),
+        (says(cast(Array, [0.0] * 7)), r"torque: got list, expected a numpy array of shape \(7,\)"),
+        (says(np.array(["1"] * 7)), "torque: got an array of <U1, expected one of real numbers"),
+        (says(np.zeros(7, dtype=complex)), "torque: got an array of complex128, expected one of real numbers"),
+        (says(np.array([None] * 7)), "torque: got an array of object, expected one of real numbers"),
         (says(np.array([0, 0, np.nan, 0, 0, 0, 0])), "torque: got .*nan.*, expected finite"),
         (says(np.array([0, 0, np.inf, 0, 0, 0, 0])), "torque: got .*inf.*, expected finite"),
         (says(np.zeros(7), np.array([0, -np.inf, 0])), "base_force: got .*inf.*, expected finite"),
@@ -61,6 +64,15 @@ def says(torque: Array, base: Array | None = None, stiffness: Array | None = Non
 def test_a_law_that_returns_what_cannot_be_used_is_stopped(law: Controller, what: str) -> None:
     with pytest.raises(ControllerError, match=f"controller mine: {what}"):
         SafeController("mine", law, arm(), 1.0).step(sensed(HOME), 1e-3)
+
+
+def test_a_law_that_forgets_to_return_is_told_so() -> None:
+    class Forgetful:
+        def step(self, sensed: Sensed, dt_s: float) -> Effort:
+            return cast(Effort, None)
+
+    with pytest.raises(ControllerError, match="controller mine: step: got NoneType, expected an Effort"):
+        SafeController("mine", Forgetful(), arm(), 1.0).step(sensed(HOME), 1e-3)
 
 
 def test_torque_stays_within_the_arms_limits() -> None:
