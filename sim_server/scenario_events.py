@@ -124,7 +124,7 @@ def check_events(
                 raise ValueError(f"{where}.strut: {event.strut}, but the load has {struts} struts")
             if event.strut in held:
                 raise ValueError(
-                    f"{where}.strut: {event.strut} is taken by {held[event.strut]}, whom no event before takes from it: "
+                    f"{where}.strut: {event.strut} is taken by {held[event.strut]}, and no event before frees it; "
                     "expected a free one"
                 )
             process[event.arm], held[event.strut] = "running", event.arm

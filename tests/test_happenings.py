@@ -70,6 +70,17 @@ def push(**changes: Any) -> dict[str, Any]:
         ([push(period_s=1.0, shape="abrupt")], "events.0.period_s", ("shape 'smooth'",)),
         ([push(agent="a1")], "events.0.agent", ("unknown key", "force_N")),
         ([{"at_s": 1.0, "kind": "join", "arm": "a5", "strut": 4, "agent": "a1"}], "events.0.agent", ("unknown key",)),
+        ([{"at_s": 1.0, "kind": "join", "arm": "a5", "strut": 4}], "events.0.strut", ("4 is taken by a4",)),
+        (
+            [
+                {"at_s": 1.0, "kind": "leave", "agent": "a4"},
+                {"at_s": 9.0, "kind": "join", "arm": "a5", "strut": 4},
+                {"at_s": 15.0, "kind": "join", "arm": "a6", "strut": 4},
+            ],
+            "events.2.strut",
+            ("4 is taken by a5",),
+        ),
+        ([{"at_s": 1.0, "kind": "join", "arm": "a5", "strut": 4}] * 2, "events.0.strut", ("4 is taken by a4",)),
     ],
 )
 def test_an_event_that_cannot_be_is_refused_with_file_and_key(
