@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from processes import processes_that_name, run_to_end
 
 from deploy.room import PREFIX, Rooms, sweep
 
@@ -51,6 +52,33 @@ def test_a_room_of_a_launcher_that_lives_is_left_and_one_of_a_killed_launcher_is
         other.wait()
     sweep()
     assert not room.exists()
+
+
+FORKS = """
+import os, time
+from agents.controllers.paper import PaperController
+
+class Forks(PaperController):
+    def __init__(self, arm):
+        super().__init__(arm)
+        self.begun = False
+
+    def step(self, sensed, dt_s):
+        if not self.begun:
+            self.begun = True
+            if os.fork() == 0:
+                time.sleep(600)
+        return super().step(sensed, dt_s)
+"""
+
+
+@pytest.mark.system
+def test_what_a_law_has_started_goes_with_its_run(tmp_path: Path) -> None:
+    (tmp_path / "forking.py").write_text(FORKS)
+    values = ("--set", "duration_s=0.1", "--set", 'team.controller="forking:Forks"', "--no-picture")
+    done = run_to_end("run", "hold", "--out", "run", *values, cwd=tmp_path)
+    assert (tmp_path / "run" / "trace.parquet").exists(), done.stderr
+    assert processes_that_name("forking:Forks") == []
 
 
 def test_what_is_not_an_empty_room_is_never_swept(temporary: Path) -> None:
