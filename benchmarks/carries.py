@@ -188,6 +188,7 @@ def carry(law: str, condition: Condition, seed: int = 1, gains: Mapping[str, Any
             plant.slip("a2")
             del laws["a2"]
         readings = plant.read()
+        plant.prepare()
         if leader is not None and tick * scenario.clock.control_period_ms % leader.period_ms == 0:
             pose = plant.load_pose()
             view = LeaderView(

@@ -34,7 +34,7 @@ class Timings:
     send: Durations = field(default_factory=Durations)
     """Read the sensors, encode and publish all states."""
     wait: Durations = field(default_factory=Durations)
-    """Wait for, decode and check all commands."""
+    """Prepare the step, and wait for, decode and check all commands."""
     step: Durations = field(default_factory=Durations)
     """Motor drivers and physics."""
     record: Durations = field(default_factory=Durations)
@@ -114,6 +114,7 @@ class Ticker(ABC):
         self.admit()
         self._send(tick)
         sent = time.perf_counter_ns()
+        self._plant.prepare()
         self._gather(tick)
         done = time.perf_counter_ns()
         self.timings.begun = (sent - start, done - sent)

@@ -63,6 +63,8 @@ class MujocoPlant:
         self.disturbances = Disturbances(world, self._dt_s)
         self.hands = Grasping(world)
         self.tick = 0
+        self._is_prepared = False
+        """Whether the first half of the coming physics step is done."""
         self.met: dict[str, ArmIds] = {}
         """All robots that are or were there; of those that have gone only the strut and the differences still mean
         anything."""
@@ -274,6 +276,16 @@ class MujocoPlant:
         """Somebody drives this arm again."""
         self._drivers.regain(self._row[arm])
 
+    def prepare(self) -> None:
+        """The part of the next step that needs no command: where everything is, what touches, what bears what.
+
+        The same bits as without, since nothing moves before :meth:`step`. Not where a hand is empty or an arm unled:
+        there the step itself still decides what holds.
+        """
+        if not self.hands.empty and not self._drivers.any_unled:
+            mujoco.mj_step1(self._model, self._data)
+            self._is_prepared = True
+
     def step(self) -> None:
         """Advance to the next tick. A row of the trace takes :meth:`state_row` before and :meth:`force_row` after."""
         drivers = self._drivers
@@ -288,7 +300,11 @@ class MujocoPlant:
             else:
                 drivers.advance(self._dt_s)
             self._apply_efforts(substep)
-            mujoco.mj_step(self._model, self._data)
+            if self._is_prepared:
+                self._is_prepared = False
+                mujoco.mj_step2(self._model, self._data)
+            else:
+                mujoco.mj_step(self._model, self._data)
         if np.count_nonzero(self._warnings):
             self._fail()
         if self.hands.closing:

@@ -78,6 +78,10 @@ class Plant(Protocol):
 
     def regain(self, arm: str) -> None: ...
 
+    def prepare(self) -> None:
+        """Whatever of the next step needs no command; called while the agents compute. May do nothing."""
+        ...
+
     def step(self) -> None:
         """Advance to the next tick."""
         ...

@@ -78,6 +78,9 @@ class Ledger:
             self.unled.discard(arm)
             self.book.append(("regain", arm))
 
+    def prepare(self) -> None:
+        """Nothing can be done before the commands are there."""
+
     def step(self) -> None:
         self.book.append(("step", self.tick))
         self.tick += 1

@@ -62,6 +62,7 @@ def carry(name: str, tmp_path: Path, changes: dict[str, Any]) -> Carry:
     trace = TraceWriter(tmp_path / f"{name}.parquet", scenario.arms, limits.joints)
     for tick in range(scenario.ticks):
         readings = plant.read()
+        plant.prepare()
         if leader is not None and tick % leader.period_ms == 0:
             pose = plant.load_pose()
             view = LeaderView(

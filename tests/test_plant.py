@@ -13,6 +13,7 @@ from plants import NO_STIFFNESS, QUIET, plant_of, scenario
 from sim_server.errors import PlantFailed
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario_files import load_scenario, shipped_names
+from sim_server.unled_arms import Release
 from sim_server.world import build_world
 from wire.arms.limits import arm_limits
 
@@ -303,3 +304,31 @@ def test_physics_out_of_range_says_so_and_does_not_go_back_to_the_start() -> Non
         step_often(plant, 100)
     position = plant.load_pose().position
     assert not np.allclose(position[:2], 0.0, atol=1e-6), "MuJoCo's own reset would have put it back to where it began"
+
+
+def test_a_step_that_was_prepared_while_the_commands_were_on_their_way_is_the_same_step() -> None:
+    """To the last bit. (Nobody pulls: the leader's lever is of the present attitude then, not of the one before.)"""
+    plants = [plant_of(scenario(plant=QUIET)) for _ in range(2)]
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        torque = plants[0]._drivers.torque + rng.normal(size=(4, 7))
+        for prepared, plant in enumerate(plants):
+            if prepared:
+                plant.prepare()
+            for row, name in enumerate(plant.names):
+                plant.command(name, torque[row], np.array([30.0, -20.0, 1.0]), NO_STIFFNESS)
+            plant.step()
+    for name in ("qpos", "qvel", "sensordata", "efc_force"):
+        np.testing.assert_array_equal(getattr(plants[0].world.data, name), getattr(plants[1].world.data, name), name)
+
+
+def test_a_step_is_not_prepared_where_it_decides_itself_what_holds() -> None:
+    """A hand that opens in the step itself holds no more in that very step."""
+    plants = [plant_of(scenario(plant=QUIET)) for _ in range(2)]
+    for prepared, plant in enumerate(plants):
+        plant._leave_to("a1", Release())
+        for _ in range(5):
+            if prepared:
+                plant.prepare()
+            plant.step()
+    np.testing.assert_array_equal(plants[0].world.data.qpos, plants[1].world.data.qpos)
