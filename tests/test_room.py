@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import secrets
 import subprocess
 import sys
 import tempfile
@@ -74,11 +76,12 @@ class Forks(PaperController):
 
 @pytest.mark.system
 def test_what_a_law_has_started_goes_with_its_run(tmp_path: Path) -> None:
-    (tmp_path / "forking.py").write_text(FORKS)
-    values = ("--set", "duration_s=0.1", "--set", 'team.controller="forking:Forks"', "--no-picture")
+    law = f"forking_{os.getpid()}_{secrets.token_hex(4)}"  # nobody else's on this machine
+    (tmp_path / f"{law}.py").write_text(FORKS)
+    values = ("--set", "duration_s=0.1", "--set", f'team.controller="{law}:Forks"', "--no-picture")
     done = run_to_end("run", "hold", "--out", "run", *values, cwd=tmp_path)
     assert (tmp_path / "run" / "trace.parquet").exists(), done.stderr
-    assert processes_that_name("forking:Forks") == []
+    assert processes_that_name(law) == []
 
 
 def test_what_is_not_an_empty_room_is_never_swept(temporary: Path) -> None:
