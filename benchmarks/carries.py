@@ -34,9 +34,10 @@ from sim_server.errors import PlantFailed
 from sim_server.metrics import Metrics, TraceFacts, physical_metrics
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario import Scenario
+from sim_server.scenario_events import Push
 from sim_server.scenario_files import load_scenario
 from sim_server.trace import columns
-from sim_server.world import World, build_world
+from sim_server.world import build_world
 from wire.arms.limits import arm_limits
 from wire.messages import LeaderView
 
@@ -48,18 +49,6 @@ HARD_LEADER = {"stiffness_N_m": 40.0, "damping_Ns_m": 120.0}
 
 
 @dataclass(frozen=True)
-class Push:
-    """A disturbance of the plant, in the world's axes."""
-
-    from_s: float
-    to_s: float
-    hand: str = ""
-    """The arm whose hand is pushed; empty: the load."""
-    force_N: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    torque_Nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
 class Condition:
     """One thing that a law has to stand."""
 
@@ -67,7 +56,8 @@ class Condition:
     """Of the scenario ``transport``."""
     differences: float = 1.0
     """Factor on the plant's differences and noises."""
-    push: Push | None = None
+    push: Mapping[str, Any] | None = None
+    """An event of a scenario file."""
     lost_s: float | None = None
     """When arm a2 goes limp."""
     slips_s: float | None = None
@@ -87,9 +77,10 @@ def team(count: int, mass_kg: float, duration_s: float, leader: Mapping[str, flo
     )
 
 
-ACROSS = Push(3.0, 5.0, "a2", (0.0, 50.0, 0.0))
-ALONG = Push(3.0, 5.0, "a2", (50.0, 0.0, 0.0))
-TURN = Push(3.0, 5.0, torque_Nm=(0.0, 0.0, 30.0))
+FOR_2_S = {"kind": "push", "at_s": 3.0, "for_s": 2.0}
+ACROSS = {**FOR_2_S, "arm": "a2", "force_N": [0.0, 50.0, 0.0]}
+ALONG = {**FOR_2_S, "arm": "a2", "force_N": [50.0, 0.0, 0.0]}
+TURN = {**FOR_2_S, "point": "centre_of_mass", "torque_Nm": [0.0, 0.0, 30.0]}
 SHORT = {"duration_s": 12.0}
 
 CONDITIONS: Mapping[str, Condition] = {
@@ -122,26 +113,6 @@ CONDITIONS: Mapping[str, Condition] = {
 }
 
 
-class DisturbedPlant(MujocoPlant):
-    """The plant, and somebody who pushes."""
-
-    def __init__(self, world: World, push: Push | None) -> None:
-        self._push = push
-        super().__init__(world)
-
-    def _apply_efforts(self, substep: int = 0) -> None:
-        super()._apply_efforts(substep)
-        push = self._push
-        if push is None:
-            return
-        body = self.world.arms[push.hand].hand_body if push.hand else self.world.load_body
-        wrench = np.array([*push.force_N, *push.torque_Nm]) * (push.from_s <= self.time_s < push.to_s)
-        if push.hand:
-            self._data.xfrc_applied[body] = wrench
-        else:
-            self._data.xfrc_applied[body] += wrench
-
-
 @dataclass
 class Carried:
     """What came of it."""
@@ -154,13 +125,10 @@ class Carried:
 def scenario_of(condition: Condition, seed: int) -> Scenario:
     """The condition's scenario."""
     changes = json.loads(json.dumps(condition.changes)) | {"seed": seed}
-    plain = load_scenario(condition.scenario, changes).scenario
-    scaled = {
-        name: condition.differences * getattr(plain.plant, name)
-        for name in type(plain.plant).model_fields
-        if name not in ("physics_step_ms", "delay_ticks", "difference_scale", "start_offset_m", "start_yaw_rad")
-    }
-    return plain.model_copy(update={"plant": plain.plant.model_copy(update=scaled)})
+    changes["plant"] = changes.get("plant", {}) | {"difference_scale": condition.differences}
+    if condition.push is not None:
+        changes["events"] = [dict(condition.push)]
+    return load_scenario(condition.scenario, changes).scenario
 
 
 def carry(law: str, condition: Condition, seed: int = 1, gains: Mapping[str, Any] | None = None) -> Carried:
@@ -168,7 +136,7 @@ def carry(law: str, condition: Condition, seed: int = 1, gains: Mapping[str, Any
     began = time.perf_counter()
     scenario = scenario_of(condition, seed)
     world = build_world(scenario)
-    plant, arm, limits = DisturbedPlant(world, condition.push), ArmModel(scenario.team.arm), arm_limits("panda")
+    plant, arm, limits = MujocoPlant(world), ArmModel(scenario.team.arm), arm_limits(scenario.team.arm)
     laws = {
         each: SafeController("law", make_controller(law, arm, gains or {}), arm, scenario.team.handover_s)
         for each in scenario.arms
@@ -187,6 +155,9 @@ def carry(law: str, condition: Condition, seed: int = 1, gains: Mapping[str, Any
         if condition.slips_s is not None and tick == round(condition.slips_s / dt_s):
             plant.slip("a2")
             del laws["a2"]
+        for event in scenario.events:
+            if isinstance(event, Push) and tick == round(event.at_s / dt_s):
+                plant.push(event)
         readings = plant.read()
         plant.prepare()
         if leader is not None and tick * scenario.clock.control_period_ms % leader.period_ms == 0:

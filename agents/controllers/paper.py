@@ -164,8 +164,8 @@ def law_of_the_arm(
     wrist_force: Array | None = None,
     hand: Hand | None = None,
 ) -> tuple[Array, ...]:
-    """:func:`paper_law` with the arm's terms worked out beside it, for joint positions q, (n,) rad; and for those who
-    build on it the angular rows of the hand's Jacobian, (3 n,), and the hand's pose p_BE, (3,), and R_BE, (9,).
+    """:func:`paper_law` with the arm's terms worked out beside it, for joint positions q, (n,) rad; and the hand's pose
+    p_BE, (3,), and R_BE, (9,).
 
     Args:
         when: time since take-over, s, and the share of the reference's ramp that is over, (2,), if there is one.
@@ -185,7 +185,7 @@ def law_of_the_arm(
     if wrist_force is not None and hand is not None:
         momentum = planar_momentum(hand.mass, now.J[:3] @ qd, now.J[3:] @ qd, now.R_BE @ hand.p_EC)
         felt = [np.concatenate([planar_wrist_force(wrist_force, now.R_BE @ hand.R_EW), momentum])]
-    return torque, force, K, now.J[3:].ravel(), *felt, now.p_BE, now.R_BE.ravel()
+    return torque, force, K, *felt, now.p_BE, now.R_BE.ravel()
 
 
 STRAIGHT_DOWN = (0.0, 0.0, -1.0)
@@ -256,7 +256,7 @@ class PaperController:
 
     def _driven_by_the_wrist(self, wrist: WristInput, dt_s: float) -> Array:
         """Equation 16 with the displacement that the force stands for, (3,) N, N, N m in B."""
-        felt, gains = self._law.outputs[4], self.gains
+        felt, gains = self._law.outputs[3], self.gains
         e, e_rate = wrist.step(felt[:2], felt[2:], dt_s)
         return np.array([*base_force(e, e_rate, gains.base_stiffness_N_m, gains.base_damping_Ns_m), 0.0])
 
