@@ -1,7 +1,9 @@
 """What every connection to the simulator carried, counted by the kernel, beside what we meant to send and took in.
 
-A thread of its own counts twice a second, off the tick's path, and asks Zenoh nothing. Each count remembers the tallies
-of that moment: what a connection may have carried is what was sent while it was there, and no more.
+A thread of its own counts twice a second, off the tick's path, and asks Zenoh nothing. It also counts as soon as an
+agent that was quiet has said enough to be told from a stranger, so that one that dies soon after is known by its bytes.
+Each count remembers the tallies of that moment: what a connection may have carried is what was sent while it was there,
+and no more.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from wire.endpoints import Endpoint
 
 EVERY_S = 0.5
 """Wall time between two counts; one costs about a millisecond of a core."""
+HEED_S = 0.05
+"""Wall time between two looks at our own tallies for agents that began to speak; one costs some ten microseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +70,28 @@ class Moment:
             flows = to if row.direction == "to" else taken
             flows[row.agent] = flows.get(row.agent, Flow()) + Flow(row.messages, row.size_bytes)
         return cls(time.monotonic(), to, taken)
+
+
+class Beginnings:
+    """Tells when an agent that was quiet, or new, has said ``enough_bytes`` since then."""
+
+    def __init__(self, enough_bytes: int) -> None:
+        self._enough = enough_bytes
+        self._last: dict[str, int] = {}
+        self._quiet_at: dict[str, int] = {}
+
+    def any_in(self, taken: Mapping[str, Flow]) -> bool:
+        """Whether it has come to that for anybody since the last call."""
+        for name, flow in taken.items():
+            if flow.size_bytes == self._last.get(name, 0):
+                self._quiet_at[name] = flow.size_bytes
+            elif name not in self._last:
+                self._quiet_at[name] = 0
+            self._last[name] = flow.size_bytes
+        began = [name for name, before in self._quiet_at.items() if self._last[name] - before > self._enough]
+        for name in began:
+            del self._quiet_at[name]
+        return bool(began)
 
 
 @dataclass(slots=True)
@@ -134,12 +160,16 @@ class Connections:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Count now, then every so often on a thread of its own, and once more at the end."""
+        """Count now, then on a thread of its own every so often and when agents begin, and once more at the end."""
         over = threading.Event()
 
         def watch() -> None:
-            while not over.wait(EVERY_S):
-                self.count()
+            beginnings, last_s = Beginnings(2 * self.overhead.opening), time.monotonic()
+            while not over.wait(HEED_S):
+                moment = Moment.of(self._tallies)
+                if beginnings.any_in(moment.taken) or moment.at_s - last_s >= EVERY_S:
+                    self.count()
+                    last_s = moment.at_s
 
         thread = threading.Thread(target=watch, name="wiretap", daemon=True)
         self.count()

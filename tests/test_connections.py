@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Sequence
 
 import pytest
 
+from sim_server import connections
 from sim_server.byte_account import Account, account
-from sim_server.connections import Connections, Overhead
+from sim_server.connections import Beginnings, Connections, Flow, Overhead
 from sim_server.tally import OBSERVERS, Tallies
 from sim_server.wiretap import Carried, Wiretap
 from wire.endpoints import parse_endpoint
@@ -132,6 +134,35 @@ def test_a_killed_agents_connection_is_known_by_its_bytes() -> None:
     kernel.count()
     del kernel.now[2]
     kernel.ticks(500, a1=1)
+    result = kernel.account({1: {"a1"}}, a1=1, a2=1)
+    assert (result.violations, result.doubts) == ([], [])
+    assert result.agents == {"a1", "a2"}
+
+
+def test_an_agent_that_began_to_speak_or_spoke_again_is_told_once_when_it_has_said_enough() -> None:
+    beginnings = Beginnings(1000)
+    said = [0, 600, 1200, 1800, 1800, 2700, 2900]
+    told = [beginnings.any_in({"a1": Flow(1, size), "a2": Flow(1, 50)}) for size in said]
+    assert told == [False, False, True, False, False, False, True]
+
+
+def test_one_whose_first_words_were_many_is_told_at_once() -> None:
+    assert Beginnings(1000).any_in({"a1": Flow(20, 5000)})
+
+
+def test_an_agent_that_dies_soon_after_its_first_words_was_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the time between two regular counts: the connection was there when it had said enough."""
+    monkeypatch.setattr(connections, "EVERY_S", 1000.0)
+    kernel = Kernel()
+    kernel.opened(1, 2)
+    with kernel.connections_of_the_run.watching():
+        kernel.ticks(20, a1=1, a2=2)
+        deadline = time.monotonic() + 10.0
+        while not all(each.later.taken for each in list(kernel.connections_of_the_run.found.values())):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        del kernel.now[2]
+        kernel.ticks(500, a1=1)
     result = kernel.account({1: {"a1"}}, a1=1, a2=1)
     assert (result.violations, result.doubts) == ([], [])
     assert result.agents == {"a1", "a2"}
