@@ -26,7 +26,7 @@ def run(seed: int = 1, **changes: Any) -> Run:
 
 def leave(root: Path, done: Run, **changed: Any) -> None:
     """What a run leaves, as far as the batch looks at it."""
-    folder = root / done.name
+    folder = root / done.place
     folder.mkdir(parents=True)
     about = {"scenario": done.resolved(), "ended": {"completed": True}} | changed
     (folder / RUN).write_text(json.dumps(about))
@@ -48,10 +48,10 @@ class Written:
     def run_all(self, runs: Sequence[Run], root: Path) -> Iterator[Done]:
         for each in runs:
             self.asked.append(each.name)
-            problem = "it broke" if each.name in self._problems else ""
+            problem = "it broke" if each.place in self._problems else ""
             if not problem:
                 leave(root, each)
-            yield Done(each, root / each.name, problem)
+            yield Done(each, problem)
 
 
 @pytest.mark.parametrize("each", planned(), ids=lambda run: run.name)
@@ -73,9 +73,9 @@ def test_no_two_planned_runs_share_a_folder() -> None:
 
 
 def test_a_run_is_its_scenario_changes_and_seed() -> None:
-    assert run(1).digest() == run(1).digest()
-    assert run(1).digest() != run(2).digest()
-    assert run(1).digest() != run(1, load={"mass_kg": 21.0}).digest()
+    assert run(1).digest == run(1).digest
+    assert run(1).digest != run(2).digest
+    assert run(1).digest != run(1, load={"mass_kg": 21.0}).digest
 
 
 def test_tables_are_laid_over_each_other_without_changing_the_ones_below() -> None:
@@ -88,11 +88,11 @@ def test_tables_are_laid_over_each_other_without_changing_the_ones_below() -> No
 
 def test_what_is_there_is_not_run_again_and_what_failed_is(tmp_path: Path) -> None:
     runs = [run(1), run(2), run(3)]
-    first = Written(problems=[runs[1].name])
+    first = Written(problems=[runs[1].place])
     counts: list[tuple[int, int]] = []
-    problems = run_missing(runs, tmp_path, first, lambda there, total, done: counts.append((there, total)))
+    problems = run_missing(runs, tmp_path, first, lambda there, total: counts.append((there, total)))
     assert first.asked == [each.name for each in runs]
-    assert problems == {runs[1].name: "it broke"}
+    assert problems == {runs[1].place: "it broke"}
     assert counts == [(0, 3), (1, 3), (2, 3), (3, 3)]
     second = Written()
     assert run_missing(runs, tmp_path, second, lambda *_: None) == {}
@@ -108,14 +108,14 @@ def test_another_run_in_the_same_place_or_half_of_one_is_not_taken_for_it(tmp_pa
     root = tmp_path / "whole"
     leave(root, run(1))
     assert is_there(run(1), root)
-    (root / run(1).name / TRACE).unlink()
+    (root / run(1).place / TRACE).unlink()
     assert not is_there(run(1), root)
 
 
 def entry(**metrics: Any) -> dict[str, Any]:
     each = run(1)
     return {
-        "name": each.name, "group": each.group, "condition": each.condition, "variant": each.variant,
+        "name": each.name, "group": each.group, "condition": each.condition, "law": each.law,
         "scenario": each.scenario, "changes": dict(each.changes), "seed": each.seed,
         "metrics": {"verdict": "holds", "tilt_max_deg": 0.2, "wall_s": 10.0} | metrics,
     }  # fmt: skip
@@ -131,7 +131,7 @@ def test_verifying_sees_one_bit_with_the_same_versions_and_a_part_in_a_thousand_
 
 
 def test_a_reports_entry_is_the_run_that_it_was_made_of() -> None:
-    assert run_of(json.loads(json.dumps(entry()))).digest() == run(1).digest()
+    assert run_of(json.loads(json.dumps(entry()))).digest == run(1).digest
 
 
 def test_a_sample_repeats_with_its_seed_and_takes_no_run_twice() -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from agents.arm_model import ArmModel
 from agents.controllers.interface import Effort, Sensed
 from agents.controllers.palanquin_gains import PalanquinGains
+from agents.controllers.reference import ReferenceTime
 from agents.equations.bounds import limited
 from agents.equations.chain import Chain, chain_terms, inverse_of_inertia
 from agents.equations.impedance import (
@@ -29,7 +30,13 @@ from agents.equations.law import base_force
 from agents.equations.null_space import null_projection
 from agents.equations.observer import felt_torque, leaky, momentum_rate
 from agents.equations.saturation import yield_moment
-from agents.equations.task import dynamically_consistent_inverse, task_inertia, task_velocity, tilt_error
+from agents.equations.task import (
+    UPRIGHT,
+    dynamically_consistent_inverse,
+    task_inertia,
+    task_velocity,
+    tilt_error,
+)
 from agents.equations.yaw import reaction_moment, yaw_moment, yaw_sine
 from agents.tracing import Traced
 from wire.arms.limits import arm_limits
@@ -40,6 +47,7 @@ TASK_ROWS, PLANE_ROWS, YAW_ROW = slice(2, 5), slice(0, 2), 5
 """Rows of a hand Jacobian [v; w]: v_z, w_x, w_y; v_x, v_y; w_z."""
 WRIST_JOINTS = 3
 """The last joints, which may yield."""
+AT_REST = np.zeros(3)
 STRAIGHT_DOWN = (0.0, 0.0, -1.0)
 """The vertical, seen from a hand that points straight down."""
 
@@ -65,6 +73,7 @@ def palanquin_law(
     keep_r: Array,
     keep_f: Array,
     rise: Array,
+    when: Array | None = None,
 ) -> tuple[Array, ...]:
     """Torque (n,) N m, base force (3,) N, N, N m in B, joint stiffness (n,) N m/rad; the memory p, r, f, K for the next
     step; passivity residual (1,) W; and the hand's pose p_BE (3,), R_BE (9,).
@@ -82,14 +91,16 @@ def palanquin_law(
         K: task stiffness, (3,) N/m, N m/rad, N m/rad.
         dt_s, keep_r, keep_f, rise: (1,) each: since the step before, and what :func:`observer.leaky` and
             :func:`impedance.stiffness_step` make of it.
+        when: time since take-over, s, and the share of the reference's ramp that is over, (2,), if there is one.
     """
+    x_d, xd_d, xdd_d, up_d = (AT_REST, AT_REST, AT_REST, UPRIGHT) if when is None else gains.desired(*when)
     now = chain_terms(chain, q, qd)
     M_inv, J, J_x, n = inverse_of_inertia(now.M), now.J, now.J[TASK_ROWS], len(chain.links)
     Jbar = dynamically_consistent_inverse(J, M_inv, task_inertia(J, M_inv))  # of all six: tells lift from push
 
     # Height, roll, pitch: a spring that stiffens, a damper that goes with it, and what the observer feels taken over.
-    x_err = np.array([p_held[2] - now.p_BE[2], *tilt_error(now.R_BE @ up_E)])
-    xd = task_velocity(J_x, qd)
+    x_err = np.array([p_held[2] + x_d[0] - now.p_BE[2], *tilt_error(now.R_BE @ up_E, up_d)])
+    xd = task_velocity(J_x, qd) - xd_d  # against the reference
     p_before, p = p, now.M @ qd
     tau_ext = felt_torque(p, p_before, momentum_rate(tau, now.C, qd, now.g), dt_s)
     r = leaky(r, tau_ext, gains.observer_rate_1_s / (gains.observer_rate_1_s + gains.observer_leak_1_s), keep_r)
@@ -99,8 +110,9 @@ def palanquin_law(
     soft = np.array([gains.lift_soft_m, gains.tilt_soft_rad, gains.tilt_soft_rad])
     wanted = stiffening(K_least, (1.0 + gains.stiffen) * K_least, x_err, soft)
     K_before, K = K, stiffness_step(K, wanted, rise) if gains.stiffness_rate_1_s else wanted
-    D = damping(K, task_inertia(J_x, M_inv), gains.damping_ratio)
-    F_task = spring_force(K, x_err, D, xd) - F_felt
+    Lambda_x = task_inertia(J_x, M_inv)
+    D = damping(K, Lambda_x, gains.damping_ratio)
+    F_task = spring_force(K, x_err, D, xd) + Lambda_x @ xdd_d - F_felt
 
     # The plane: a soft spring to a base that follows late, and a hand that weighs no more than it is told to.
     e, e_rate = now.p_BE[PLANE_ROWS] - p_held[PLANE_ROWS], J[PLANE_ROWS] @ qd
@@ -141,8 +153,9 @@ class PalanquinController:
 
     Attributes:
         passivity_residual_W: power that the law gave to the hand in the last step beyond what its springs gave back
-            and its dampers took, in the directions that have a memory. At most 0 where it is passive; the observer's
-            and the force correction's parts have either sign. For the record.
+            and its dampers took, in the directions that have a memory, and against the reference if there is one. At
+            most 0 where it is passive; the observer's and the force correction's parts have either sign. For the
+            record.
 
     Raises:
         pydantic.ValidationError: a gain is unknown or not a number in its range.
@@ -157,6 +170,9 @@ class PalanquinController:
         shapes |= {"p_held": (3,), "up_E": (3,), "ahead_held": (3,), "q_held": (n,)}
         shapes |= {"p": (n,), "r": (n,), "f": (2,), "K": (3,)}
         shapes |= {"dt_s": (1,), "keep_r": (1,), "keep_f": (1,), "rise": (1,)}
+        self._along = ReferenceTime(self.gains) if self.gains.reference != "none" else None
+        if self._along:
+            shapes["when"] = ReferenceTime.shape
         law = partial(palanquin_law, self.gains, arm.chain, np.array(arm_limits(arm.name).torque_Nm))
         self._law = Traced(law, shapes)
         self._holds = False
@@ -173,6 +189,8 @@ class PalanquinController:
         inputs = law.inputs
         inputs["q"][:], inputs["qd"][:] = sensed.q, sensed.qd
         inputs["tau"][:], inputs["wrench"][:], inputs["dt_s"][0] = sensed.tau, sensed.wrench, dt_s
+        if self._along:
+            self._along.write(inputs["when"], dt_s)
         if self._holds:
             inputs["keep_r"][0] = exp(-(gains.observer_rate_1_s + gains.observer_leak_1_s) * dt_s)
             inputs["keep_f"][0] = exp(-gains.force_leak_1_s * dt_s)

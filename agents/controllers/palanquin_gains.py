@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from agents.controllers.reference import ReferenceGains
 
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 
 
-class PalanquinGains(BaseModel):
+class PalanquinGains(ReferenceGains):
     """Gains in SI; the same for every scenario. docs/control-law.md has what each part is worth."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     lift_stiffness_N_m: Positive = 8000.0
     """Least stiffness of the hand's height."""

@@ -14,12 +14,11 @@ from pydantic import Field
 
 from agents.arm_model import ArmModel, Hand
 from agents.controllers.interface import Effort, Sensed
-from agents.controllers.reference import ReferenceGains
+from agents.controllers.reference import ReferenceGains, ReferenceTime
 from agents.controllers.wrist_input import WristInput
 from agents.equations.chain import Chain, chain_terms, inverse_of_inertia
 from agents.equations.law import base_force, joint_torque
 from agents.equations.null_space import null_projection, null_torque_projected
-from agents.equations.reference import ramp_share
 from agents.equations.stiffness import DEG, adaptive_stiffness, projected_error_rate, projected_joint_error
 from agents.equations.task import (
     UPRIGHT,
@@ -214,9 +213,9 @@ class PaperController:
                 f"expected {n}, one per joint of arm model {arm.name}"
             )
         shapes = {"q": (n,), "qd": (n,), "p_held": (3,), "up_E": (3,), "ahead_held": (3,)}
-        self._follows = self.gains.reference != "none"
-        if self._follows:
-            shapes["when"] = (2,)
+        self._along = ReferenceTime(self.gains) if self.gains.reference != "none" else None
+        if self._along:
+            shapes["when"] = ReferenceTime.shape
         self._by_force: WristInput | None = None
         law = partial(law_of_the_arm, arm.chain, self.gains)
         if self.gains.base_input == "wrench":
@@ -226,7 +225,6 @@ class PaperController:
         self._law = Traced(law, shapes)
         self._holds = False
         self._height_m: float | None = None
-        self._elapsed_s, self._ramp_s = 0.0, self.gains.reference_ramp_s
 
     def carry_at(self, height_m: float) -> None:
         """Hold this height, m in B, and the hand straight down, instead of what is found at the first step: so an arm
@@ -241,11 +239,8 @@ class PaperController:
         if not self._holds:
             law()
             self._hold()
-        else:
-            self._elapsed_s += dt_s
-        if self._follows:
-            when = inputs["when"]  # number by number: numpy takes longer over a tuple
-            when[0], when[1] = self._elapsed_s, ramp_share(self._elapsed_s, self._ramp_s)
+        if self._along:
+            self._along.write(inputs["when"], dt_s)
         if self._by_force is not None:
             inputs["wrist_force"][:] = sensed.wrench[:3]
         law()

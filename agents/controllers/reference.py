@@ -49,3 +49,20 @@ class ReferenceGains(BaseModel):
         amplitude = np.array([self.reference_height_m, self.reference_roll_rad, self.reference_pitch_rad])
         up_d = tilted_axis(self.reference_roll_rad, self.reference_pitch_rad, swing)
         return amplitude * swing, amplitude * rate, amplitude * acceleration, up_d
+
+
+class ReferenceTime:
+    """Where on the reference a law is: its input ``when``, time since take-over and the share of the ramp."""
+
+    shape = (2,)
+
+    def __init__(self, gains: ReferenceGains) -> None:
+        self._elapsed_s, self._ramp_s = 0.0, gains.reference_ramp_s
+        self._has_begun = False
+
+    def write(self, when: Array, dt_s: float) -> None:
+        """Into ``when``, (2,), for this step: 0 at the first, and ``dt_s`` later at each that follows."""
+        if self._has_begun:
+            self._elapsed_s += dt_s
+        self._has_begun = True
+        when[0], when[1] = self._elapsed_s, ramp_share(self._elapsed_s, self._ramp_s)  # numpy takes longer over a tuple

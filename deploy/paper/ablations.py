@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
 
-from deploy.paper.plan import PRESETS, RECORD, Changes, Preset, Run, merged
+from deploy.paper.plan import PRESETS, SECTION_VI, Changes, Condition, Preset, Run, condition_changes, merged
 
 DEG = 180 / pi
-CARRY_S = 12.0
-"""Length of an ablation's carry: the paper's law arrives after 8 s."""
+ALONE = "alone"
 KG_PER_ARM = 5.0
 """The paper's load: 20 kg for four."""
+
+
+UNDISTURBED, PUSHED, TRAJECTORY = *SECTION_VI["VI-C"][:2], SECTION_VI["VI-B"][0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,18 +25,27 @@ class Ablation:
     label: str
     values: Mapping[str, Changes]
     presets: tuple[Preset, ...] = ("paper", "palanquin")
-    scenario: str = "transport"
+    of: Condition = UNDISTURBED
+    """The condition that is changed. A value without changes is that condition itself, and not run again."""
 
 
 def team_of(count: int) -> Changes:
-    """So many arms and a load to match: mass with the number, and a rim that is long enough."""
+    """So many arms and a load to match: mass with the number, and a rim that is long enough. The leader is no stronger,
+    so the more they are the longer it takes."""
     length = max(1.6, 0.45 * count)
     return {
+        "duration_s": {8: 20.0, 16: 35.0}.get(count, UNDISTURBED.duration_s),
         "team": {"count": count},
         "load": {"struts": count, "mass_kg": KG_PER_ARM * count, "size_m": [length, 0.9, 0.75]},
     }
 
 
+def _gain(**gains: object) -> Changes:
+    return {"team": {"gains": gains}}
+
+
+X3: Changes = {"plant": {"difference_scale": 3.0}}
+BY_WRIST = _gain(base_input="wrench")
 SI_READING: Changes = {
     "team": {
         "gains": {
@@ -52,19 +63,18 @@ SWEEPS: tuple[Ablation, ...] = (
         "mass",
         "unknown mass in the hand, kg",
         {f"{mass:g}": {"load": {"mass_kg": mass}} for mass in (0.5, 1.5, 2.5, 3.0)},
-        presets=("fixed", "paper"),
-        scenario="trajectory",
+        presets=("fixed", "paper", "palanquin"),
+        of=TRAJECTORY,
     ),
     Ablation(
         "beta",
         "beta of eq. 15, 2.5 kg",
-        {f"{beta:g}": {"team": {"gains": {"beta": beta}}} for beta in (0.0, 25.0, 50.0, 100.0, 200.0)},
+        {"0": _gain(beta=0.0), "25": _gain(beta=25.0), "50": _gain(beta=50.0), "100": {}, "200": _gain(beta=200.0)},
         presets=("paper",),
-        scenario="trajectory",
+        of=TRAJECTORY,
     ),
 )
 """The trajectory of VI-B, swept."""
-SWEEP_S = 12.0
 
 ABLATIONS: tuple[Ablation, ...] = (
     Ablation(
@@ -73,14 +83,14 @@ ABLATIONS: tuple[Ablation, ...] = (
         {
             "per degree": {},
             "SI": SI_READING,
-            "SI, fixed stiffness": merged(SI_READING, {"team": {"gains": {"adaptive": False}}}),
+            "SI, fixed stiffness": merged(SI_READING, _gain(adaptive=False)),
         },
         presets=("paper",),
     ),
     Ablation(
         "alpha",
         "alpha of eq. 14",
-        {f"{alpha:g}": {"team": {"gains": {"alpha": alpha}}} for alpha in (0.005, 0.02, 0.1, 1.0)},
+        {"0.005": _gain(alpha=0.005), "0.02": {}, "0.1": _gain(alpha=0.1), "1": _gain(alpha=1.0)},
         presets=("paper",),
     ),
     Ablation(
@@ -88,9 +98,9 @@ ABLATIONS: tuple[Ablation, ...] = (
         "terms of the paper's law left out",
         {
             "all": {},
-            "no drift term (J-dot)": {"team": {"gains": {"drift_compensation": False}}},
-            "no observer (eq. 10)": {"team": {"gains": {"observer": False}}},
-            "fixed stiffness (no eq. 15)": {"team": {"gains": {"adaptive": False}}},
+            "no drift term (J-dot)": _gain(drift_compensation=False),
+            "no observer (eq. 10)": _gain(observer=False),
+            "fixed stiffness (no eq. 15)": _gain(adaptive=False),
         },
         presets=("paper",),
     ),
@@ -108,11 +118,16 @@ ABLATIONS: tuple[Ablation, ...] = (
         "rate",
         "control rate, Hz",
         {
-            f"{1000 // period}": {"clock": {"control_period_ms": period}, "leader": {"period_ms": 12}}
-            for period in (4, 2, 1)
+            "250": {"clock": {"control_period_ms": 4}, "leader": {"period_ms": 12}},
+            "500": {"clock": {"control_period_ms": 2}},
+            "1000": {},
         },
     ),
-    Ablation("arms", "number of arms, 5 kg each", {f"{count}": team_of(count) for count in (2, 3, 4, 8, 16)}),
+    Ablation(
+        "arms",
+        "number of arms, 5 kg each",
+        {f"{count}": team_of(count) if count != 4 else {} for count in (2, 3, 4, 8, 16)},
+    ),
     Ablation(
         "off-centre",
         "centre of mass shifted forward, m",
@@ -123,20 +138,48 @@ ABLATIONS: tuple[Ablation, ...] = (
         "what drives the base",
         {
             "displacement": {},
-            "wrist force": {"team": {"gains": {"base_input": "wrench"}}},
+            "wrist force": BY_WRIST,
+            "displacement, noise and differences x3": X3,
+            "wrist force, noise and differences x3": merged(BY_WRIST, X3),
         },
         presets=("paper",),
     ),
-    Ablation("alone", "one arm at the 20 kg table", {"1": {"team": {"count": 1}}}),
+    Ablation(
+        "input-pushed",
+        "what drives the base, 50 N across",
+        {"displacement": {}, "wrist force": BY_WRIST},
+        presets=("paper",),
+        of=PUSHED,
+    ),
+    Ablation(ALONE, "one arm at the 20 kg table", {"1": {"team": {"count": 1}}}),
 )
 
 
-def ablation_runs(seeds: range) -> Iterator[Run]:
-    """Every run of every ablation and sweep."""
+TIMES_THREE = "x3"
+"""Group of the carries of VI-C with three times the differences between arm and model."""
+
+
+def ablation_runs(seeds: range, presets: Sequence[Preset] = tuple(PRESETS)) -> Iterator[Run]:
+    """Every run of every ablation and sweep with these laws."""
     for ablation in (*ABLATIONS, *SWEEPS):
         for preset in ablation.presets:
-            for value, changes in ablation.values.items():
-                length: Changes = {"duration_s": CARRY_S if ablation in ABLATIONS else SWEEP_S}
-                changed = merged(merged(merged(length, RECORD), PRESETS[preset]), changes)
+            if preset in presets:
+                for value, changes in ablation.values.items():
+                    changed = merged(condition_changes(ablation.of, preset), changes)
+                    for seed in seeds:
+                        yield Run(ablation.name, value, preset, ablation.of.scenario, changed, seed)
+
+
+def alone_runs(seeds: range, presets: Sequence[Preset] = tuple(PRESETS)) -> Iterator[Run]:
+    """Those of them in which one arm fails at the table."""
+    return (run for run in ablation_runs(seeds, presets) if run.group == ALONE)
+
+
+def times_three_runs(seeds: range, presets: Sequence[Preset] = tuple(PRESETS)) -> Iterator[Run]:
+    """The carries of VI-C with differences three times as large."""
+    for condition in SECTION_VI["VI-C"]:
+        for preset in condition.presets:
+            if preset in presets:
+                changes = merged(condition_changes(condition, preset), X3)
                 for seed in seeds:
-                    yield Run(ablation.name, value, preset, ablation.scenario, changed, seed)
+                    yield Run(TIMES_THREE, condition.name, preset, condition.scenario, changes, seed)

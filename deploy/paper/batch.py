@@ -7,6 +7,9 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -16,10 +19,14 @@ from typing import Any, Protocol
 from deploy.exit_status import COULD_NOT_RUN
 from deploy.paper.plan import Run
 from sim_server.errors import SimError
-from sim_server.run_folder import METRICS, RUN, TRACE
+from sim_server.run_folder import METRICS, RUN, TRACE, write_json
 
 LONGEST_S = 1800.0
 """Wall time after which a run is given up: a hundred times what the longest should take."""
+
+
+COST = "cost.json"
+"""In every run folder of a batch: wall time and the processor time of all its processes."""
 
 
 class BatchError(SimError):
@@ -33,7 +40,6 @@ class Done:
     """A run that has ended."""
 
     run: Run
-    folder: Path
     problem: str
     """Why there is nothing in the folder; empty if there is."""
 
@@ -48,7 +54,7 @@ class Engine(Protocol):
 
 def is_there(run: Run, root: Path) -> bool:
     """Whether the folder holds this very run, whole."""
-    folder = root / run.name
+    folder = root / run.place
     if not all((folder / name).exists() for name in (RUN, METRICS, TRACE)):
         return False
     try:
@@ -61,21 +67,36 @@ def is_there(run: Run, root: Path) -> bool:
 def run_one(run: Run, folder: str) -> str:
     """Run it into this folder, in place of what is there; what was in the way, or nothing.
 
-    A verdict is no problem, whatever it is: the report judges for itself.
+    A verdict is no problem, whatever it is: the report judges for itself. What it cost is left beside the run.
     """
     shutil.rmtree(folder, ignore_errors=True)
+    began_s = time.monotonic()
     command = [sys.executable, "-m", "deploy.cli", "run", run.scenario, "--seed", str(run.seed), "--out", folder]
     command += ["--no-picture"]  # matplotlib would cost a second of every run
     for setting in run.settings():
         command += ["--set", setting]
-    try:
-        ended = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, check=False)
-    except subprocess.TimeoutExpired:
+    with tempfile.TemporaryFile("w+") as words:
+        launched = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words)
+        over = threading.Timer(LONGEST_S, launched.terminate)  # it ends its processes then
+        over.start()
+        try:
+            _, status, used = os.wait4(launched.pid, 0)
+            launched.returncode = os.waitstatus_to_exitcode(status)
+        except BaseException:
+            launched.terminate()
+            launched.wait()
+            raise
+        finally:
+            over.cancel()
+        words.seek(0)
+        said = words.read().strip().splitlines()
+    took_s = time.monotonic() - began_s
+    if took_s >= LONGEST_S:
         return f"not at its end after {LONGEST_S:g} s"
     if (Path(folder) / METRICS).exists():
+        write_json(Path(folder) / COST, {"wall_s": round(took_s, 2), "processor_s": used.ru_utime + used.ru_stime})
         return ""
-    said = ended.stderr.strip().splitlines()
-    return f"exit status {ended.returncode}: {said[-1] if said else 'it said nothing'}"
+    return f"exit status {launched.returncode}: {said[-1] if said else 'it said nothing'}"
 
 
 class LocalEngine:
@@ -90,11 +111,11 @@ class LocalEngine:
 
     def run_all(self, runs: Sequence[Run], root: Path) -> Iterator[Done]:
         with ThreadPoolExecutor(self._at_once) as pool:
-            waiting = {pool.submit(run_one, run, str(root / run.name)): run for run in runs}
+            waiting = {pool.submit(run_one, run, str(root / run.place)): run for run in runs}
             try:
                 for future in as_completed(waiting):
                     run = waiting[future]
-                    yield Done(run, root / run.name, future.result())
+                    yield Done(run, future.result())
             finally:
                 pool.shutdown(cancel_futures=True)
 
@@ -114,32 +135,31 @@ class RayEngine:
 
     def run_all(self, runs: Sequence[Run], root: Path) -> Iterator[Done]:
         remote: Callable[..., Any] = self._ray.remote(num_cpus=1)(run_one).remote
-        waiting: dict[Any, Run] = {remote(run, str((root / run.name).absolute())): run for run in runs}
+        waiting: dict[Any, Run] = {remote(run, str((root / run.place).absolute())): run for run in runs}
         while waiting:
             (ended,), _ = self._ray.wait(list(waiting), num_returns=1)
             run = waiting.pop(ended)
-            yield Done(run, root / run.name, self._ray.get(ended))
+            yield Done(run, self._ray.get(ended))
 
 
 def missing(runs: Iterable[Run], root: Path) -> list[Run]:
-    """Those that are not there yet."""
-    return [run for run in runs if not is_there(run, root)]
+    """Those that are not there yet, each once."""
+    once = {run.place: run for run in reversed(list(runs))}
+    return [run for run in reversed(once.values()) if not is_there(run, root)]
 
 
-def run_missing(
-    runs: Sequence[Run], root: Path, engine: Engine, told: Callable[[int, int, Done | None], None]
-) -> Mapping[str, str]:
-    """Run what is not there yet; the problems by the run's name.
+def run_missing(runs: Sequence[Run], root: Path, engine: Engine, told: Callable[[int, int], None]) -> Mapping[str, str]:
+    """Run what is not there yet; the problems by the run's place.
 
     Args:
-        told: called with how many are there, how many there are to be, and the run that has just ended.
+        told: called with how many are there and how many there are to be, at the start and after each.
     """
-    to_do = missing(runs, root)
-    there, problems = len(runs) - len(to_do), dict[str, str]()
-    told(there, len(runs), None)
+    to_do, total = missing(runs, root), len({run.place for run in runs})
+    there, problems = total - len(to_do), dict[str, str]()
+    told(there, total)
     for done in engine.run_all(to_do, root):
         there += 1
         if done.problem:
-            problems[done.run.name] = done.problem
-        told(there, len(runs), done)
+            problems[done.run.place] = done.problem
+        told(there, total)
     return problems

@@ -17,8 +17,10 @@ from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT
 
 if TYPE_CHECKING:
     from deploy.paper.judging import Judged
+    from deploy.paper.plan import Run
 
-SHORT_SEEDS, ABLATION_SEEDS = 2, 2
+TIMES_THREE_SEEDS, ABLATION_SEEDS = 3, 1
+"""Most seeds of what stands beside the experiments."""
 
 
 def paper(
@@ -27,30 +29,24 @@ def paper(
         "runs/paper"
     ),
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of every condition.")] = 20,
-    short: Annotated[bool, typer.Option("--short", help="Two seeds, shorter runs, no ablations: minutes.")] = False,
+    short: Annotated[bool, typer.Option("--short", help="One seed of each experiment, no ablations: minutes.")] = False,
     only: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this experiment or ablation; may be repeated.")
+    ] = None,
+    law: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only runs with this law; may be repeated.")
     ] = None,
     at_once: Annotated[int | None, typer.Option(min=1, help="Runs at a time; one per core by default.")] = None,
     engine: Annotated[Literal["local", "ray"], typer.Option(help="Where runs are run.")] = "local",
     ray_address: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster.")] = None,
 ) -> None:
     """Run every experiment of the paper's section VI, and set its claims beside what was measured."""
-    from deploy.paper.ablations import ABLATIONS, SWEEPS, ablation_runs
     from deploy.paper.batch import LocalEngine, RayEngine, missing, run_missing
     from deploy.paper.making import make_report
-    from deploy.paper.plan import SECTION_VI, section_vi_runs
     from deploy.report import PatientConsole
 
-    wanted = list(section_vi_runs(range(1, 1 + (min(seeds, SHORT_SEEDS) if short else seeds)), short=short))
-    if not short:
-        wanted += ablation_runs(range(1, 1 + min(seeds, ABLATION_SEEDS)))
-    known = [*SECTION_VI, *(ablation.name for ablation in (*ABLATIONS, *SWEEPS))]
-    for name in only or []:
-        if name not in known:
-            raise typer.BadParameter(f"--only {name}: expected one of {', '.join(known)}")
-    wanted = [run for run in wanted if not only or run.group in only]
-    root = runs / "short" if short else runs
+    wanted = _chosen(_planned(seeds, short=short), only, "--only", "group")
+    wanted = _chosen(wanted, law, "--law", "law")
     console = PatientConsole()
     where = RayEngine(ray_address) if engine == "ray" else LocalEngine(at_once)
     bar = Progress(
@@ -58,24 +54,45 @@ def paper(
     )
     with bar:
         task = bar.add_task("runs", total=len(wanted))
-        problems = run_missing(
-            wanted, root, where, lambda there, total, done: bar.update(task, completed=there, total=total)
-        )
-    for name, problem in problems.items():
-        console.print(f"{name}: {problem}", style="red", markup=False, soft_wrap=True)
-    there = [run for run in wanted if run.name not in problems]
-    if left := missing(there, root):
+        problems = run_missing(wanted, runs, where, lambda there, total: bar.update(task, completed=there, total=total))
+    for place, problem in problems.items():
+        console.print(f"{runs / place}: {problem}", style="red", markup=False, soft_wrap=True)
+    left = {run.place for run in missing(wanted, runs)}
+    if left:
         console.print(f"{len(left)} runs are not there: start again to go on", style="red")
     command = "palanquin " + shlex.join(sys.argv[1:])
-    judged = make_report([run for run in there if run not in left], root, out, command)
+    judged = make_report([run for run in wanted if run.place not in left], runs, out, command)
     _print(console, judged)
     console.print(f"report: {out / 'paper.md'}, {out / 'paper.html'}", soft_wrap=True)
-    if problems or left:
+    if left:
         raise typer.Exit(COULD_NOT_RUN)
-    verdicts = {each.verdict for each in judged if each.preset == "paper"}
+    verdicts = {each.verdict for each in judged if each.preset == "paper" and each.found}
     raise typer.Exit(
         OF_VERDICT["violated" if "violated" in verdicts else "unknown" if "unknown" in verdicts else "holds"]
     )
+
+
+def _planned(seeds: int, *, short: bool) -> list[Run]:
+    from deploy.paper.ablations import ablation_runs, alone_runs, times_three_runs
+    from deploy.paper.plan import section_vi_runs
+
+    if short:
+        first = range(1, 2)
+        return [*section_vi_runs(first), *alone_runs(first)]
+    return [
+        *section_vi_runs(range(1, 1 + seeds)),
+        *times_three_runs(range(1, 1 + min(seeds, TIMES_THREE_SEEDS))),
+        *ablation_runs(range(1, 1 + min(seeds, ABLATION_SEEDS))),
+    ]
+
+
+def _chosen(runs: list[Run], names: list[str] | None, option: str, attribute: Literal["group", "law"]) -> list[Run]:
+    """Those whose attribute is one of the names; all without names. Raises BadParameter where a name is nothing's."""
+    known = list(dict.fromkeys(getattr(run, attribute) for run in runs))
+    for name in names or []:
+        if name not in known:
+            raise typer.BadParameter(f"{option} {name}: expected one of {', '.join(known)}")
+    return [run for run in runs if not names or getattr(run, attribute) in names]
 
 
 def _print(console: Console, judged: Sequence[Judged]) -> None:

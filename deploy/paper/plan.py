@@ -1,15 +1,17 @@
-"""What is run for the report: every condition of section VI, its variants and seeds, and the ablations.
+"""What is run for the report: every condition of section VI, its laws and seeds, and the ablations.
 
-A :class:`Run` is one ``palanquin run``. What it is follows from its scenario, its changes and its seed alone, so that a
-report that was interrupted goes on with what is missing.
+A :class:`Run` is one ``palanquin run``. What it is follows from its scenario, its changes and its seed alone, and so
+does the folder that it lies in: a report that was interrupted goes on with what is missing, and what two experiments
+ask for is run once.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 from sim_server.scenario_files import load_scenario
@@ -26,15 +28,14 @@ PRESETS: Mapping[Preset, Changes] = {
 
 START_DIFFERS: Changes = {"plant": {"start_offset_m": 0.005, "start_yaw_rad": 0.01}}
 """Small changes of how the robots stand at the start, drawn from each seed."""
-SHORT_S: Mapping[str, Changes] = {
-    "VI-A": {},
-    "VI-B": {"duration_s": 12.0},
-    "VI-C": {"duration_s": 12.0},
-}
-"""What is cut of a short run: three periods of the trajectory are left; a carry just arrives."""
-
 RECORD: Changes = {"record": {"every_ticks": 10, "checkpoint_s": 0.0}}
 """100 rows per simulated second are enough for every claim, and no run here is resumed in its middle."""
+
+
+CARRY_S = 12.0
+"""Simulated time of a carry: the paper's law arrives after 8 s."""
+LATE_S, SOON_S = 16.0, 10.0
+"""Of one that is turned or pushed aside and comes late, and of one that is not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,7 @@ class Condition:
     label: str
     """As figures and tables say it."""
     scenario: str
+    duration_s: float = CARRY_S
     changes: Changes = field(default_factory=dict)
     presets: tuple[Preset, ...] = ("paper", "palanquin")
 
@@ -59,43 +61,49 @@ SECTION_VI: Mapping[str, tuple[Condition, ...]] = {
             "trajectory",
             "2.5 kg unknown, height 0.1 m at 0.25 Hz",
             "trajectory",
-            presets=("fixed", "paper"),
+            presets=("fixed", "paper", "palanquin"),
         ),
     ),
     "VI-C": (
         Condition("undisturbed", "no disturbance", "transport"),
-        Condition("pushed", "50 N for 2 s across", "transport-pushed"),
-        Condition("pushed-along", "50 N for 2 s along", "transport-pushed-along"),
-        Condition("twisted", "a torque in the plane", "transport-twisted"),
-        Condition("failed-grasp", "one grasp fails", "failed-grasp"),
+        Condition("pushed", "50 N for 2 s across", "transport-pushed", LATE_S),
+        Condition("pushed-along", "50 N for 2 s along", "transport-pushed-along", SOON_S),
+        Condition("twisted", "a torque in the plane", "transport-twisted", SOON_S),
+        Condition("failed-grasp", "one grasp fails", "failed-grasp", LATE_S),
     ),
 }
 """The experiments of section VI, each with its conditions."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Run:
     """One run of the report."""
 
     group: str
     """The experiment, or the ablation, that it belongs to."""
     condition: str
-    variant: str
-    """The preset, or an ablation's value."""
+    """The condition, or the ablation's value."""
+    law: Preset
     scenario: str
     changes: Changes
     seed: int
 
     @property
     def name(self) -> str:
+        """As tables and messages say it."""
+        return f"{self.group}/{self.condition}/{self.law}/seed-{self.seed}"
+
+    @property
+    def place(self) -> str:
         """Where its run folder lies, under the report's."""
-        return f"{self.group}/{self.condition}/{self.variant}/seed-{self.seed}"
+        return f"{self.scenario}/seed-{self.seed}-{self.digest[:12]}"
 
     def resolved(self) -> dict[str, Any]:
         """The whole scenario as the simulator gets it."""
         changes = merged(self.changes, {"seed": self.seed})
         return load_scenario(self.scenario, changes).scenario.model_dump(mode="json")
 
+    @cached_property
     def digest(self) -> str:
         """SHA-256 (hex) of that: two runs with the same one are the same run."""
         return hashlib.sha256(json.dumps(self.resolved(), sort_keys=True).encode()).hexdigest()
@@ -105,16 +113,21 @@ class Run:
         return [f"{key}={_toml(value)}" for key, value in _flat(self.changes)]
 
 
-def section_vi_runs(seeds: range, *, short: bool = False) -> Iterator[Run]:
-    """Every run of the experiments; ``short`` ones are cut to what still shows the claim."""
+def section_vi_runs(seeds: range, presets: Sequence[Preset] = tuple(PRESETS)) -> Iterator[Run]:
+    """Every run of the experiments with these laws."""
     for group, conditions in SECTION_VI.items():
         for condition in conditions:
             for preset in condition.presets:
-                changes = merged(merged(RECORD, START_DIFFERS), merged(PRESETS[preset], condition.changes))
-                if short:
-                    changes = merged(changes, SHORT_S[group])
-                for seed in seeds:
-                    yield Run(group, condition.name, preset, condition.scenario, changes, seed)
+                if preset in presets:
+                    for seed in seeds:
+                        changes = condition_changes(condition, preset)
+                        yield Run(group, condition.name, preset, condition.scenario, changes, seed)
+
+
+def condition_changes(condition: Condition, preset: Preset) -> dict[str, Any]:
+    """What a condition with this law changes of its scenario."""
+    changes = merged({"duration_s": condition.duration_s}, merged(RECORD, START_DIFFERS))
+    return merged(changes, merged(PRESETS[preset], condition.changes))
 
 
 def merged(below: Changes, above: Changes) -> dict[str, Any]:

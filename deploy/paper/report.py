@@ -1,4 +1,4 @@
-"""The report: docs/paper.md with its figures, the same as one HTML file, and report.json, on which both rest."""
+"""The report: docs/paper.md with its figures, the same as one HTML file, and paper.json, on which both rest."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from deploy.paper.claims import rms, summed_torque
 from deploy.paper.judging import Judged, height_error
 from deploy.paper.plan import SECTION_VI, Run
 from deploy.paper.results import Results
-from deploy.paper.statistics import spread
+from deploy.paper.statistics import Spread, spread
 from sim_server.run_description import versions
 from sim_server.run_folder import METRICS
 
-REPORT = "report.json"
 WORDS = {"holds": "holds", "violated": "**does not hold**", "unknown": "open"}
 COMPARED = (
     ("tilt_max_deg", "tilt, largest [deg]"),
@@ -60,14 +59,58 @@ def claims_table(judged: Sequence[Judged]) -> str:
     return table(["claim", "the paper", "measured", "median (90 % range)", "bound", "seeds", ""], rows)
 
 
-def conditions_table(results: Results, group: str) -> str:
-    """Metrics of every condition and law of an experiment."""
+def targets_table(judged: Sequence[Judged]) -> str:
+    """What we ask of our law, beside what was measured."""
     rows = []
-    for condition in SECTION_VI[group]:
+    for each in judged:
+        if measured := each.spread:
+            unit, bound = each.found[0].unit, each.found[0].bound
+            seeds = f"{each.holds_in} of {len(each.found)}"
+            rows.append([each.claim.says, f"{measured.text()} {unit}", bound, seeds, WORDS[each.verdict]])
+    return table(["asked", "median (90 % range)", "bound", "seeds", ""], rows) if rows else ""
+
+
+def comparison_table(results: Results) -> str:
+    """Medians of the paper's law and of ours in every condition of VI-C; what is worse by more than a hundredth stands
+    in bold type."""
+    conditions = [c for c in SECTION_VI["VI-C"] if results.seeds("VI-C", c.name, "palanquin")]
+    conditions = [c for c in conditions if results.seeds("VI-C", c.name, "paper")]
+    rows = []
+    for metric, heading in COMPARED:
+        cells = []
+        for condition in conditions:
+            theirs, ours = (results.spread(metric, "VI-C", condition.name, law) for law in ("paper", "palanquin"))
+            if theirs is None or ours is None:
+                cells.append(f"{_median(theirs)} / {_median(ours)}")
+                continue
+            is_worse = ours.median > 1.01 * theirs.median
+            cells.append(f"{_median(theirs)} / " + (f"**{_median(ours)}**" if is_worse else _median(ours)))
+        rows.append([heading, *cells])
+    return table(["`paper` / `palanquin`", *(c.label for c in conditions)], rows) if conditions else ""
+
+
+def _median(found: Spread | None) -> str:
+    return f"{found.median:.3g}" if found else "never"
+
+
+def cost_text(runs: Sequence[Run], results: Results) -> str:
+    """What the runs cost."""
+    costs = [cost for run in {run.place: run for run in runs}.values() if (cost := results.cost(run))]
+    processor_s = sum(cost["processor_s"] for cost in costs)
+    return (
+        f"These {len(costs)} runs took {processor_s / 60:.0f} minutes of processor time, so "
+        f"{processor_s / 120:.0f} minutes of two cores."
+    )
+
+
+def conditions_table(results: Results, group: str, experiment: str | None = None) -> str:
+    """Metrics of every condition and law of an experiment; ``group`` is another name under which it was run."""
+    rows = []
+    for condition in SECTION_VI[experiment or group]:
         for preset in condition.presets:
             if results.seeds(group, condition.name, preset):
                 rows.append([condition.label, preset, *_metrics(results, group, condition.name, preset)])
-    return table(["condition", "law", *(heading for _, heading in COMPARED)], rows)
+    return table(["condition", "law", *(heading for _, heading in COMPARED)], rows) if rows else ""
 
 
 def ablation_tables(results: Results) -> str:
@@ -105,19 +148,19 @@ def sweep_tables(results: Results) -> str:
     return "\n".join(parts)
 
 
-def _metrics(results: Results, group: str, condition: str, variant: str) -> list[str]:
+def _metrics(results: Results, group: str, condition: str, law: str) -> list[str]:
     """The compared metrics as text. A metric that only some seeds have (an arrival) says in how many."""
-    seeds = len(results.seeds(group, condition, variant))
+    seeds = len(results.seeds(group, condition, law))
     cells = []
     for metric, _ in COMPARED:
-        found = results.spread(metric, group, condition, variant)
+        found = results.spread(metric, group, condition, law)
         some = f" ({found.count} of {seeds})" if found and found.count < seeds else ""
         cells.append(found.text() + some if found else "none")
     return cells
 
 
 def describe(runs: Sequence[Run], results: Results, judged: Sequence[Judged], command: str) -> dict[str, Any]:
-    """The content of report.json: every run that the report rests on, with the digests of what went in and came out."""
+    """The content of paper.json: every run that the report rests on, with the digests of what went in and came out."""
     return {
         "command": command,
         "versions": versions(),
@@ -136,11 +179,11 @@ def describe(runs: Sequence[Run], results: Results, judged: Sequence[Judged], co
                 "name": run.name,
                 "group": run.group,
                 "condition": run.condition,
-                "variant": run.variant,
+                "law": run.law,
                 "scenario": run.scenario,
                 "changes": run.changes,
                 "seed": run.seed,
-                "digest": run.digest(),
+                "digest": run.digest,
                 "metrics_sha256": _digest(results.folder(run) / METRICS),
                 "metrics": results.metrics(run),
             }
@@ -157,12 +200,12 @@ def runs_table(runs: Sequence[Run]) -> str:
     """The runs by condition and law: how many seeds, and one digest over theirs."""
     grouped: dict[tuple[str, str, str], list[Run]] = {}
     for run in runs:
-        grouped.setdefault((run.group, run.condition, run.variant), []).append(run)
+        grouped.setdefault((run.group, run.condition, run.law), []).append(run)
     rows = []
-    for (group, condition, variant), those in grouped.items():
+    for (group, condition, law), those in grouped.items():
         seeds = [run.seed for run in those]
-        together = hashlib.sha256("".join(run.digest() for run in those).encode()).hexdigest()[:12]
-        rows.append([group, condition, variant, those[0].scenario, f"{min(seeds)} to {max(seeds)}", f"`{together}`"])
+        together = hashlib.sha256("".join(run.digest for run in those).encode()).hexdigest()[:12]
+        rows.append([group, condition, law, those[0].scenario, f"{min(seeds)} to {max(seeds)}", f"`{together}`"])
     return table(["experiment", "condition", "law", "scenario", "seeds", "digest"], rows)
 
 

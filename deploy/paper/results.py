@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.arm_model import ArmModel
+from deploy.paper.batch import COST
 from deploy.paper.plan import Run
 from deploy.paper.statistics import Spread, spread
 from sim_server.run_folder import METRICS, RUN, TRACE
@@ -32,35 +33,40 @@ class Results:
         self._root = root
         self._runs: dict[tuple[str, str, str], dict[int, Run]] = {}
         for run in runs:
-            self._runs.setdefault((run.group, run.condition, run.variant), {})[run.seed] = run
+            self._runs.setdefault((run.group, run.condition, run.law), {})[run.seed] = run
 
-    def seeds(self, group: str, condition: str, variant: str) -> Sequence[int]:
+    def seeds(self, group: str, condition: str, law: str) -> Sequence[int]:
         """Seeds of which there is a run."""
-        return sorted(self._runs.get((group, condition, variant), {}))
+        return sorted(self._runs.get((group, condition, law), {}))
 
-    def run(self, group: str, condition: str, variant: str, seed: int) -> Run:
+    def run(self, group: str, condition: str, law: str, seed: int) -> Run:
         """One run. Raises KeyError if it is not there."""
-        return self._runs[group, condition, variant][seed]
+        return self._runs[group, condition, law][seed]
 
     def trace(self, run: Run) -> Mapping[str, Array]:
         """Its trace."""
-        return _trace(self._root / run.name)
+        return _trace(self._root / run.place)
 
     def metrics(self, run: Run) -> Mapping[str, Any]:
         """Its metrics."""
-        return _json(self._root / run.name / METRICS)
+        return _json(self._root / run.place / METRICS)
 
     def about(self, run: Run) -> Mapping[str, Any]:
         """Its run.json."""
-        return _json(self._root / run.name / RUN)
+        return _json(self._root / run.place / RUN)
+
+    def cost(self, run: Run) -> Mapping[str, float] | None:
+        """Its wall and processor time, if that was measured."""
+        file = self.folder(run) / COST
+        return _json(file) if file.exists() else None
 
     def folder(self, run: Run) -> Path:
         """Where it lies."""
-        return self._root / run.name
+        return self._root / run.place
 
-    def spread(self, metric: str, group: str, condition: str, variant: str) -> Spread | None:
+    def spread(self, metric: str, group: str, condition: str, law: str) -> Spread | None:
         """A metric over all seeds of a condition."""
-        runs = self._runs.get((group, condition, variant), {}).values()
+        runs = self._runs.get((group, condition, law), {}).values()
         return spread(_number(self.metrics(run).get(metric)) for run in runs)
 
 

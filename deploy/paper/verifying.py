@@ -11,11 +11,13 @@ from typing import Any
 
 from deploy.exit_status import BAD_INPUT
 from deploy.paper.batch import BatchError, run_one
-from deploy.paper.plan import Run
+from deploy.paper.plan import PRESETS, Preset, Run
 from sim_server.errors import SimError
 from sim_server.metrics import METRICS as NUMBERS
 from sim_server.run_folder import METRICS
 
+REPORT = "paper.json"
+"""What a report rests on, and is checked by."""
 WALL_TIME = ("real_time_factor", "wall_s", "missed_percent", "slowed_s")
 """Metrics that no two runs share."""
 OTHER_VERSIONS = 1e-3
@@ -39,17 +41,17 @@ class Difference:
 
 
 def read_report(path: Path) -> dict[str, Any]:
-    """The content of a report.json, given as file or as its folder.
+    """The content of a paper.json, given as file or as its folder.
 
     Raises:
         ReportError: it is none.
     """
-    file = path / "report.json" if path.is_dir() else path
+    file = path / REPORT if path.is_dir() else path
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         runs = [(entry["name"], entry["metrics"]["verdict"], run_of(entry)) for entry in content["runs"]]
     except FileNotFoundError:
-        raise ReportError(f"{file}: no such file: expected a report.json of `palanquin paper`, or its folder") from None
+        raise ReportError(f"{file}: no such file: expected a {REPORT} of `palanquin paper`, or its folder") from None
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise ReportError(f"{file} is no report of `palanquin paper`: {type(error).__name__}: {error}") from None
     if not runs:
@@ -62,11 +64,18 @@ def run_of(entry: Mapping[str, Any]) -> Run:
     return Run(
         str(entry["group"]),
         str(entry["condition"]),
-        str(entry["variant"]),
+        _law(entry["law"]),
         str(entry["scenario"]),
         dict(entry["changes"]),
         int(entry["seed"]),
     )
+
+
+def _law(name: object) -> Preset:
+    for law in PRESETS:
+        if law == name:
+            return law
+    raise ValueError(f"law {name!r}: expected one of {', '.join(PRESETS)}")
 
 
 def sample(report: Mapping[str, Any], count: int, seed: int) -> list[Mapping[str, Any]]:
