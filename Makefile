@@ -62,7 +62,7 @@ test: lint ## lint, then all tests (PYTEST_ARGS=... is passed on)
 .PHONY: lock
 lock: python ## rebuild requirements.lock (UPGRADE=--upgrade takes the newest versions)
 	@test -x $(LOCK_BOX)/bin/uv || { "$(PYTHON)" -m venv $(LOCK_BOX) && $(LOCK_BOX)/bin/python $(PIP_INSTALL) uv; }
-	@$(LOCK_BOX)/bin/uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 \
+	@$(LOCK_BOX)/bin/uv pip compile pyproject.toml --extra all --group dev --universal --python-version 3.11 \
 	  --fork-strategy fewest --generate-hashes --no-emit-index-url --no-emit-find-links \
 	  --custom-compile-command "make lock" $(UPGRADE) --quiet --output-file $(LOCK)
 

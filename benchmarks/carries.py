@@ -14,7 +14,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,24 +22,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the launcher does for e
 
 import numpy as np
 from numpy.typing import NDArray
+from one_process import carried
 from rich.console import Console
 from rich.table import Table
 
-from agents.arm_model import ArmModel
-from agents.controllers import make_controller
-from agents.controllers.interface import Sensed
-from agents.leader import LeaderSettings, pull
 from agents.safety import SafeController
 from sim_server.errors import PlantFailed
-from sim_server.metrics import Metrics, TraceFacts, physical_metrics
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario import Scenario
 from sim_server.scenario_events import Push
 from sim_server.scenario_files import load_scenario
-from sim_server.trace import columns
-from sim_server.world import build_world
-from wire.arms.limits import arm_limits
-from wire.messages import LeaderView
 
 Array = NDArray[np.float64]
 RECORD_TICKS = 10
@@ -117,7 +109,7 @@ CONDITIONS: Mapping[str, Condition] = {
 class Carried:
     """What came of it."""
 
-    metrics: Metrics
+    metrics: Mapping[str, Any]
     trace: Mapping[str, Array]
     wall_s: float
 
@@ -125,6 +117,7 @@ class Carried:
 def scenario_of(condition: Condition, seed: int) -> Scenario:
     """The condition's scenario."""
     changes = json.loads(json.dumps(condition.changes)) | {"seed": seed}
+    changes["record"] = {"every_ticks": RECORD_TICKS}
     changes["plant"] = changes.get("plant", {}) | {"difference_scale": condition.differences}
     if condition.push is not None:
         changes["events"] = [dict(condition.push)]
@@ -135,71 +128,22 @@ def carry(law: str, condition: Condition, seed: int = 1, gains: Mapping[str, Any
     """Carry once. Raises :class:`sim_server.errors.PlantFailed` if the load is thrown away."""
     began = time.perf_counter()
     scenario = scenario_of(condition, seed)
-    world = build_world(scenario)
-    plant, arm, limits = MujocoPlant(world), ArmModel(scenario.team.arm), arm_limits(scenario.team.arm)
-    laws = {
-        each: SafeController("law", make_controller(law, arm, gains or {}), arm, scenario.team.handover_s)
-        for each in scenario.arms
-    }
-    for each_law in laws.values():
-        each_law.carry_at(plant.carry_height_m)
-    dt_s = scenario.seconds(1)
-    leader = scenario.leader
-    if condition.slips_s is not None:
-        plant.loosen("a2", 20.0)
-    rows: list[Array] = []
-    for tick in range(scenario.ticks):
-        if condition.lost_s is not None and tick == round(condition.lost_s / dt_s):
+
+    def disturb(tick: int, plant: MujocoPlant, laws: dict[str, SafeController]) -> None:
+        if condition.slips_s is not None and tick == 0:
+            plant.loosen("a2", 20.0)
+        if condition.lost_s is not None and tick == round(condition.lost_s / scenario.seconds(1)):
             plant.lose("a2")
             del laws["a2"]
-        if condition.slips_s is not None and tick == round(condition.slips_s / dt_s):
+        if condition.slips_s is not None and tick == round(condition.slips_s / scenario.seconds(1)):
             plant.slip("a2")
             del laws["a2"]
         for event in scenario.events:
-            if isinstance(event, Push) and tick == round(event.at_s / dt_s):
+            if isinstance(event, Push) and tick == round(event.at_s / scenario.seconds(1)):
                 plant.push(event)
-        readings = plant.read()
-        plant.prepare()
-        if leader is not None and tick * scenario.clock.control_period_ms % leader.period_ms == 0:
-            pose = plant.load_pose()
-            view = LeaderView(
-                tick,
-                round(tick * dt_s * 1e9),
-                tuple(pose.position.tolist()),
-                tuple(pose.quat_wxyz.tolist()),
-                tuple(pose.linear_velocity.tolist()),
-                tuple(pose.angular_velocity.tolist()),
-            )
-            told = LeaderSettings(
-                "", leader.goal_m, leader.force_max_N, leader.stiffness_N_m, leader.damping_Ns_m, leader.point
-            )
-            plant.pull(leader.point, pull(view, np.array(plant.points[leader.point]), told))
-        for each, each_law in laws.items():
-            reading = readings[each]
-            effort = each_law.step(Sensed(*map(np.array, (reading.q, reading.qd, reading.tau, reading.wrench))), dt_s)
-            plant.command(each, effort.torque, effort.base_force, effort.stiffness)
-        before = plant.state_row() if tick % RECORD_TICKS == 0 else None
-        plant.step()
-        if before is not None:
-            rows.append(np.concatenate([np.ravel(part) for part in plant.force_row(before)]))
-    trace = _named(np.array(rows), scenario.arms, limits.joints)
-    facts = TraceFacts(
-        scenario.arms,
-        leader.goal_m if leader else None,
-        world.load_mass,
-        (float(world.load_com[0]), float(world.load_com[1]), float(world.load_com[2])),
-        {each: world.struts[ids.strut].p.tolist() for each, ids in world.arms.items()},
-        limits.torque_Nm,
-    )
-    return Carried(physical_metrics(trace, facts), trace, time.perf_counter() - began)
 
-
-def _named(rows: Array, arms: Sequence[str], joints: int) -> Mapping[str, Array]:
-    found, start = {}, 0
-    for name, width in columns(arms, joints).items():
-        found[name] = rows[:, start : start + width] if width > 1 else rows[:, start]
-        start += width
-    return found
+    done = carried(scenario, law, gains or {}, disturb)
+    return Carried(done.metrics(), done.trace, time.perf_counter() - began)
 
 
 SHOWN = {

@@ -11,10 +11,10 @@ import pytest
 
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
-from deploy.paper.ablations import ABLATIONS, ablation_runs
+from deploy.paper.ablations import ABLATIONS, ablation_runs, times_three_runs
 from deploy.paper.batch import Done, is_there, run_missing
 from deploy.paper.plan import Run, merged, section_vi_runs
-from deploy.paper.verifying import ReportError, differences, read_report, run_of, sample
+from deploy.paper.verifying import REPORT, ReportError, differences, read_report, run_of, sample
 from deploy.settings import scenario_changes
 from sim_server.run_folder import METRICS, RUN, TRACE
 from sim_server.scenario_files import load_scenario
@@ -35,7 +35,7 @@ def leave(root: Path, done: Run, **changed: Any) -> None:
 
 
 def planned() -> list[Run]:
-    return [*section_vi_runs(range(1, 2)), *ablation_runs(range(1, 2))]
+    return [*section_vi_runs(range(1, 2)), *times_three_runs(range(1, 2)), *ablation_runs(range(1, 2))]
 
 
 class Written:
@@ -66,10 +66,29 @@ def test_every_planned_law_takes_the_gains_that_it_is_planned_with() -> None:
         make_controller(controller, ArmModel(arm), gains)
 
 
-def test_no_two_planned_runs_share_a_folder() -> None:
-    names = [each.name for each in [*section_vi_runs(range(1, 4)), *ablation_runs(range(1, 4))]]
-    assert len(set(names)) == len(names)
+def test_what_is_the_same_run_lies_in_the_same_folder_and_nothing_else_does() -> None:
+    planned_runs = [*section_vi_runs(range(1, 4)), *times_three_runs(range(1, 4)), *ablation_runs(range(1, 4))]
+    assert len({each.name for each in planned_runs}) == len(planned_runs)
+    places: dict[str, str] = {}
+    for each in planned_runs:
+        assert places.setdefault(each.place, each.digest) == each.digest
+    assert len(places) == len(set(places.values())) < len(planned_runs)
     assert len({ablation.name for ablation in ABLATIONS}) == len(ABLATIONS)
+
+
+def test_the_unchanged_value_of_an_ablation_is_the_carry_that_it_changes() -> None:
+    (undisturbed,) = [each for each in section_vi_runs(range(1, 2), ["paper"]) if each.condition == "undisturbed"]
+    same = {each.name for each in ablation_runs(range(1, 2), ["paper"]) if each.place == undisturbed.place}
+    assert same >= {f"{name}/paper/seed-1" for name in ("alpha/0.02", "delay/0", "rate/1000", "arms/4", "terms/all")}
+
+
+def test_what_two_experiments_ask_for_is_run_once(tmp_path: Path) -> None:
+    there = run(1)
+    engine, counts = Written(), list[tuple[int, int]]()
+    runs = [there, Run("delay", "0", "paper", "transport", {}, 1)]
+    run_missing(runs, tmp_path, engine, lambda *count: counts.append(count))
+    assert engine.asked == [there.name]
+    assert counts == [(0, 1), (1, 1)]
 
 
 def test_a_run_is_its_scenario_changes_and_seed() -> None:
@@ -144,7 +163,7 @@ def test_a_sample_repeats_with_its_seed_and_takes_no_run_twice() -> None:
 
 @pytest.mark.parametrize("content", ["", "{}", '{"runs": []}', '{"runs": [{"name": "x"}]}'])
 def test_what_is_no_report_is_refused_in_one_sentence(content: str, tmp_path: Path) -> None:
-    file = tmp_path / "report.json"
+    file = tmp_path / REPORT
     file.write_text(content)
     with pytest.raises(ReportError, match="report"):
         read_report(tmp_path)

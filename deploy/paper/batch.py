@@ -125,11 +125,16 @@ class RayEngine:
 
     Args:
         address: of the cluster; None for the one that RAY_ADDRESS names, or one of this machine's own.
+
+    Raises:
+        BatchError: Ray is not installed.
     """
 
     def __init__(self, address: str | None = None) -> None:
-        import ray
-
+        try:
+            import ray
+        except ImportError:
+            raise BatchError("--engine ray: Ray is not installed; pip install 'palanquin[ray]'") from None
         self._ray: Any = ray
         ray.init(address=address, ignore_reinit_error=True, log_to_driver=False)
 

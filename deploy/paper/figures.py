@@ -136,6 +136,37 @@ def _rotations(axes: Axes, closer: Sequence[Shown]) -> None:
     axes.legend(fontsize=7, ncols=3)
 
 
+@dataclass(frozen=True, slots=True)
+class Swept:
+    """One ablation as the figure of all of them shows it: a row."""
+
+    label: str
+    values: Sequence[float]
+    metrics: Mapping[str, Mapping[str, Sequence[float | None]]]
+    """By the metric's heading and the law: a number for each value, None where there is none."""
+
+
+def figure_ablations(rows: Sequence[Swept], file: Path) -> None:
+    """How metrics go with what is changed: a row per ablation, a column per metric, a line per law."""
+    metrics = list(rows[0].metrics)
+    figure, axes = plt.subplots(
+        len(rows), len(metrics), figsize=(3.2 * len(metrics), 2.5 * len(rows)), layout="constrained", squeeze=False
+    )
+    for swept, line in zip(rows, axes, strict=True):
+        for heading, panel in zip(metrics, line, strict=True):
+            for k, (law, found) in enumerate(swept.metrics[heading].items()):
+                there = [(x, y) for x, y in zip(swept.values, found, strict=True) if y is not None]
+                if there:
+                    panel.plot(*zip(*there, strict=True), color=COLOURS[k], marker="os^"[k % 3], label=law)
+            panel.set_yscale("log")
+            panel.set_title(heading, fontsize=9)
+            panel.set_xlabel(swept.label, fontsize=8)
+            panel.tick_params(labelsize=7)
+            panel.grid(alpha=0.3)
+    axes[0, 0].legend(fontsize=7)
+    _save(figure, file)
+
+
 def _band(axes: Axes, time_s: Array, series: Sequence[Array], colour: str) -> None:
     """The 90 % range over the seeds."""
     if len(series) > 1:
