@@ -133,6 +133,7 @@ class Follower:
             base_force=effort.base_force,
             grip_m=self._grip_m,
             stiffness=effort.stiffness,
+            residual_W=effort.residual_W,
             step_ns=step_ns,
         )
 

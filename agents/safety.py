@@ -27,6 +27,7 @@ class CheckedEffort(Struct, frozen=True, gc=False):
     torque: Numbers
     base_force: Numbers
     stiffness: Numbers
+    residual_W: float = 0.0
 
 
 def limit_torque(torque: Sequence[float], torque_max: Sequence[float]) -> Numbers:
@@ -96,7 +97,12 @@ class SafeController:
         share = remaining_offset(self._elapsed_s, self._handover_s)
         if share:
             torque = [wanted + share * offset for wanted, offset in zip(torque, self._offset, strict=True)]
-        return CheckedEffort(limit_torque(torque, self._torque_max), tuple(base_force), tuple(stiffness))
+        if not isinstance(effort.residual_W, float) or not isfinite(effort.residual_W):
+            raise ControllerError(
+                f"controller {self._name}: residual_W: got {effort.residual_W!r}, expected a finite float"
+            )
+        torque_within = limit_torque(torque, self._torque_max)
+        return CheckedEffort(torque_within, tuple(base_force), tuple(stiffness), effort.residual_W)
 
     def _checked(self, what: str, values: Array, size: int) -> list[float]:
         """The numbers in ``values``. Raises :class:`ControllerError` if they are not ``size`` finite ones."""

@@ -208,7 +208,9 @@ class Ticker(ABC):
             else:
                 command = decode(payload, Command)
                 self._accept(agent, command)
-                self._plant.command(name, command.torque, command.base_force, command.stiffness, command.grip_m)
+                self._plant.command(
+                    name, command.torque, command.base_force, command.stiffness, command.grip_m, command.residual_W
+                )
                 self.timings.controller.append(command.step_ns)
         except Refused as refusal:
             self._reception.refuse(name, refusal)

@@ -92,8 +92,9 @@ class MujocoPlant:
         """From the load's centre of mass to the pulled point, (3,) m in O."""
         self._pull_force = np.zeros(3)
         self._see(self._data)
-        self._stiffness: list[Numbers] = [(0.0,) * limits.joints for _ in arms]
-        """As the agents report it, (N, n) N m/rad; made an array only where a row of the trace wants one."""
+        self._told: list[Numbers] = [(0.0,) * (limits.joints + 1) for _ in arms]
+        """What the agents report of themselves, (N, n + 1): stiffness, N m/rad, and passivity residual, W. Made an
+        array only where a row of the trace wants one."""
         mujoco.set_mju_user_warning(_ignore)
         self._apply_efforts()
         mujoco.mj_forward(self._model, self._data)
@@ -126,7 +127,7 @@ class MujocoPlant:
         gravity = self._data.qfrc_bias[self._arm_dofs]
         self._drivers.exchange(rows, gravity)
         self._noise.exchange(rows, [arm_number(name) for name in self._names])
-        self._stiffness = [(0.0,) * gravity.shape[1] if row is None else self._stiffness[row] for row in rows]
+        self._told = [(0.0,) * (gravity.shape[1] + 1) if row is None else self._told[row] for row in rows]
         self._see(self._data)
         self.hands.move_to(world, arrived)
         self.disturbances.move_to(world)
@@ -228,11 +229,19 @@ class MujocoPlant:
         self._pull_lever = np.array(self.points[point]) - self.world.load_com
         self._pull_force = force
 
-    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers, grip_m: float = 0.0) -> None:
-        """This tick's command of one arm; ``stiffness`` is recorded only."""
+    def command(
+        self,
+        arm: str,
+        torque: Numbers,
+        base_force: Numbers,
+        stiffness: Numbers,
+        grip_m: float = 0.0,
+        residual_W: float = 0.0,
+    ) -> None:
+        """This tick's command of one arm; ``stiffness`` and ``residual_W`` are recorded only."""
         row = self._row[arm]
         self._drivers.command(row, torque, base_force)
-        self._stiffness[row] = stiffness
+        self._told[row] = (*stiffness, residual_W)
         if self._drivers.is_led(row) and self.hands.want(arm, grip_m):
             self.open_hand(arm)
 
@@ -250,7 +259,7 @@ class MujocoPlant:
 
     def _leave_to(self, arm: str, behaviour: Behaviour) -> None:
         self._drivers.leave_to(self._row[arm], behaviour)
-        self._stiffness[self._row[arm]] = (0.0,) * self._arm_dofs.shape[1]
+        self._told[self._row[arm]] = (0.0,) * (self._arm_dofs.shape[1] + 1)
 
     def loosen(self, arm: str, force_N: float) -> None:
         """From now on this hand holds badly: softly, with spurious forces of this size per axis."""
@@ -354,7 +363,7 @@ class MujocoPlant:
             "grasps": {name: getattr(model, name) for name in GRASPS},
             "drivers": self._drivers.state(),
             "noise": self._noise.state(),
-            "stiffness": np.array(self._stiffness),
+            "told": np.array(self._told),
             "pull_lever": self._pull_lever,
             "pull_force": self._pull_force,
             "disturbances": self.disturbances.state(),
@@ -383,9 +392,9 @@ class MujocoPlant:
             fill(getattr(data, name), saved["left_by_the_step"][name])
         self._drivers.restore(saved["drivers"])
         self._noise.restore(saved["noise"])
-        stiffness = np.array(self._stiffness)
-        fill(stiffness, saved["stiffness"])
-        self._stiffness = list(stiffness)
+        told = np.array(self._told)
+        fill(told, saved["told"])
+        self._told = list(told)
         fill(self._pull_lever, saved["pull_lever"])
         self._pull_force = np.zeros(3)
         fill(self._pull_force, saved["pull_force"])
@@ -414,7 +423,7 @@ class MujocoPlant:
                 arms[:, : 2 * joints],
                 drivers.torque,
                 self._data.sensordata[self._sensors],
-                np.array(self._stiffness),
+                np.array(self._told),
                 arms[:, 2 * joints :],
                 drivers.base_force,
                 grip_wrenches(self.world),

@@ -55,8 +55,17 @@ class Plant(Protocol):
         """The leader's force, (3,) N world, at a named point of the load; held until the next one."""
         ...
 
-    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers, grip_m: float = 0.0) -> None:
-        """This tick's command for one arm (``stiffness`` is recorded only); an arm without one has missed the tick."""
+    def command(
+        self,
+        arm: str,
+        torque: Numbers,
+        base_force: Numbers,
+        stiffness: Numbers,
+        grip_m: float = 0.0,
+        residual_W: float = 0.0,
+    ) -> None:
+        """This tick's command for one arm (``stiffness`` and ``residual_W`` are recorded only); an arm without one has
+        missed the tick."""
         ...
 
     @property

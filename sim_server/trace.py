@@ -5,12 +5,12 @@ to ``trace.parts/0001.rows`` first (sim_server/trace_rows.py), and a new file be
 
 Columns: ``tick``, ``time_s``, ``load.position`` (3), ``load.quat_wxyz`` (4), ``load.linear_velocity`` (3),
 ``load.angular_velocity`` (3), ``leader.force`` (3), ``load.disturbance`` (6: force and torque about the centre of mass,
-world), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n,
-applied), ``a1.wrench`` (6), ``a1.stiffness`` (n), ``a1.base`` (3: x, y, yaw in the world), ``a1.base_velocity`` (3),
-``a1.base_force`` (3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at the grasp, world),
-``a1.disturbance`` (6: force and torque on the hand at the tool centre, world) and ``a1.age_ticks``. Where an arm took
-no part its numbers are NaN and its age is null. A disturbance is what comes from outside (a push) or from a grasp that
-fails, as it was applied in the tick's last physics step; the leader's pull is none.
+world), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n, applied), ``a1.wrench`` (6), ``a1.stiffness`` (n)
+and ``a1.passivity_residual`` (W), both as its agent reports them, ``a1.base`` (3: x, y, yaw in the world),
+``a1.base_velocity`` (3), ``a1.base_force`` (3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at
+the grasp, world), ``a1.disturbance`` (6: force and torque on the hand at the tool centre, world) and ``a1.age_ticks``.
+Where an arm took no part its numbers are NaN and its age is null. A disturbance is what comes from outside (a push) or
+from a grasp that fails, as it was applied in the tick's last physics step; the leader's pull is none.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ def columns(arms: Iterable[str], joints: int) -> dict[str, int]:
             f"{arm}.tau": joints,
             f"{arm}.wrench": 6,
             f"{arm}.stiffness": joints,
+            f"{arm}.passivity_residual": 1,
             f"{arm}.base": 3,
             f"{arm}.base_velocity": 3,
             f"{arm}.base_force": 3,
@@ -189,7 +190,7 @@ def _arrays(named: Mapping[str, int], block: Array) -> list[Any]:
 def _type(name: str, width: int) -> Any:
     if width > 1:
         return pa.list_(pa.float64(), width)
-    return pa.float64() if name == "time_s" else pa.int64()
+    return pa.int64() if name == "tick" or name.endswith(".age_ticks") else pa.float64()
 
 
 def read_trace(path: Path) -> Mapping[str, NDArray[Any]]:

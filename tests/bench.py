@@ -53,7 +53,15 @@ class Ledger:
     def pull(self, point: str, force: Array) -> None:
         self.book.append(("pull", point, tuple(force.tolist())))
 
-    def command(self, arm: str, torque: Numbers, base_force: Numbers, stiffness: Numbers, grip_m: float = 0.0) -> None:
+    def command(
+        self,
+        arm: str,
+        torque: Numbers,
+        base_force: Numbers,
+        stiffness: Numbers,
+        grip_m: float = 0.0,
+        residual_W: float = 0.0,
+    ) -> None:
         self.book.append(("command", arm, float(torque[0])))
 
     @property
@@ -133,7 +141,7 @@ class MemoryAgent:
 
     def command(self, tick: int, torque: float = 1.0, *, lease: int | None = None, arm: str = "") -> None:
         own = self.lease if lease is None else lease
-        message = Command(arm or self.name, tick, own, (torque,) * 7, (0.0,) * 3, 0.0, (0.0,) * 7, 1)
+        message = Command(arm or self.name, tick, own, (torque,) * 7, (0.0,) * 3, 0.0, (0.0,) * 7, 0.0, 1)
         self.publisher.put(encode(message))
 
     def force(self, tick: int, force: tuple[float, float, float], point: str = "front") -> None:

@@ -11,6 +11,11 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# How long an example takes says how busy the machine is, and nothing of the code.
+settings.register_profile("palanquin", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("palanquin")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -6,7 +6,6 @@ from typing import Any
 
 import msgpack
 import pytest
-from hypothesis import HealthCheck
 from hypothesis import strategies as st
 from msgspec.structs import fields
 
@@ -91,6 +90,7 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
         base_force=vector(3),
         grip_m=finite,
         stiffness=joints,
+        residual_W=finite,
         step_ns=integers,
     ),
     "leader_view": st.builds(
@@ -136,7 +136,7 @@ SAMPLES: dict[str, Message] = {
     ),
     "refusal": Refusal("taken", "one instance at a time"),
     "state": State("a1", 12, 12_000_000, SEVEN, SEVEN, SEVEN, (1.0, 2.0, -30.5, 0.1, 0.2, 0.3), 0.03, (0.0,) * 6),
-    "command": Command("a1", 12, 2, SEVEN, (4.0, -3.0, 0.5), 0.0, SEVEN, 210_000),
+    "command": Command("a1", 12, 2, SEVEN, (4.0, -3.0, 0.5), 0.0, SEVEN, -0.25, 210_000),
     "leader_view": LeaderView(20, 20_000_000, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.2)),
     "leader_force": LeaderForce(20, 1, "front", (40.0, 0.0, 0.0)),
     "leaving": Leaving("a1", 2),
@@ -147,8 +147,6 @@ SAMPLES: dict[str, Message] = {
     "deed": Deed(3, "kill", "a2"),
     "done": Done(3, ""),
 }
-SLOW_MACHINE: Any = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
-"""Time is no property that is tested here: a busy machine must not make a test fail."""
 
 every_message = pytest.mark.parametrize("kind", SCHEMAS)
 

@@ -20,7 +20,7 @@ HELLO = Hello("follower", "transport", "a1", "panda", "0a" * 32, 4711, "bench-7"
 
 def command(tick: int, lease: int) -> Command:
     seven = (0.5,) * JOINTS
-    return Command("a1", tick, lease, seven, (0.0, 0.0, 0.0), 0.0, seven, 1000)
+    return Command("a1", tick, lease, seven, (0.0, 0.0, 0.0), 0.0, seven, 0.0, 1000)
 
 
 def unchanged(link: AgentLink, wanted: type[Exception], call: Callable[[], object]) -> Exception:

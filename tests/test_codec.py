@@ -10,7 +10,7 @@ import msgpack
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from message_strategies import MESSAGES, SAMPLES, SLOW_MACHINE, body_of, every_message, judged, packed, refusal_of
+from message_strategies import MESSAGES, SAMPLES, body_of, every_message, judged, packed, refusal_of
 from msgspec.structs import fields
 
 from wire import PROTOCOL_VERSION
@@ -57,7 +57,7 @@ def test_a_schema_has_its_class_s_fields_in_their_order(kind: str) -> None:
 
 
 @every_message
-@settings(max_examples=40, **SLOW_MACHINE)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_a_message_survives_the_wire_unchanged(kind: str, data: st.DataObject) -> None:
     message = data.draw(MESSAGES[kind])

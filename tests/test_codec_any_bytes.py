@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import msgpack
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from message_strategies import MESSAGES, SAMPLES, SLOW_MACHINE, body_of, every_message, judged, packed, text
+from message_strategies import MESSAGES, SAMPLES, body_of, every_message, judged, packed, text
 from msgspec.structs import fields
 
 from wire import PROTOCOL_VERSION
@@ -30,7 +30,7 @@ def test_a_flipped_bit_gives_a_message_or_a_refusal(kind: str) -> None:
             judged(bytes(flipped))
 
 
-@settings(max_examples=300, **SLOW_MACHINE)
+@settings(max_examples=300)
 @given(st.binary(max_size=400))
 def test_random_bytes_give_a_message_or_a_refusal(payload: bytes) -> None:
     judged(payload)
@@ -51,7 +51,7 @@ values = st.recursive(
 
 
 @every_message
-@settings(max_examples=20, **SLOW_MACHINE)
+@settings(max_examples=20)
 @given(data=st.data())
 def test_any_value_in_any_field_gives_a_message_or_a_refusal(kind: str, data: st.DataObject) -> None:
     body = body_of(SAMPLES[kind])
@@ -60,7 +60,7 @@ def test_any_value_in_any_field_gives_a_message_or_a_refusal(kind: str, data: st
     judged(packed(body))
 
 
-@settings(max_examples=100, **SLOW_MACHINE)
+@settings(max_examples=100)
 @given(values)
 def test_any_value_gives_a_refusal_when_it_is_no_message(value: object) -> None:
     assert isinstance(judged(packed(value)), Refused)
@@ -68,7 +68,7 @@ def test_any_value_gives_a_refusal_when_it_is_no_message(value: object) -> None:
 
 EXAMPLES: dict[str, Message] = {
     "state": State("a1", 5, 5_000_000, (0.5,) * 7, (0.25,) * 7, (1.0,) * 7, (2.0,) * 6, 0.03, (0.5,) * 6),
-    "command": Command("a1", 5, 1, (0.5,) * 7, (0.25,) * 3, 0.0, (1.0,) * 7, 100),
+    "command": Command("a1", 5, 1, (0.5,) * 7, (0.25,) * 3, 0.0, (1.0,) * 7, -0.5, 100),
     "leader_view": LeaderView(5, 5_000_000, (0.5,) * 3, (1.0, 0.0, 0.0, 0.0), (0.25,) * 3, (1.0,) * 3),
 }
 NAME_OF = {cls: name for name, (cls, _) in SCHEMAS.items()}
@@ -90,7 +90,7 @@ def test_what_is_sent_is_one_plain_map(message: Message) -> None:
     assert encode(message) == msgpack.packb({"v": PROTOCOL_VERSION, "type": name, **values})
 
 
-@settings(suppress_health_check=[HealthCheck.too_slow], max_examples=400)
+@settings(max_examples=400)
 @given(st.one_of(MESSAGES["state"], MESSAGES["command"], MESSAGES["leader_view"]), st.data())
 def test_the_short_way_in_lets_nothing_else_in_than_the_long_way(message: Message, data: st.DataObject) -> None:
     payload = bytearray(encode(message))

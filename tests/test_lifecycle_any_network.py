@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from hypothesis import HealthCheck, settings
+from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from msgspec import structs
@@ -230,7 +230,5 @@ class AnyNetwork(RuleBasedStateMachine):
         assert not (self.is_in and self.misses == self.lost_after)
 
 
-AnyNetwork.TestCase.settings = settings(
-    max_examples=150, stateful_step_count=40, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
+AnyNetwork.TestCase.settings = settings(max_examples=150, stateful_step_count=40)
 TestAnyNetworkLeavesOneAnswerPerTickOfTheOneWhoIsIn = AnyNetwork.TestCase

@@ -7,7 +7,7 @@ import time
 
 import pytest
 import zenoh
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from wire.errors import MisuseError
@@ -21,7 +21,6 @@ expressions = st.tuples(st.lists(chunks | st.just("*"), min_size=1, max_size=5),
 )
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # a busy machine is no failure
 @given(expression=expressions, key=keys)
 @example(expression=ANY_HELLO[0], key="palanquin/run/arm/a1/hello")
 @example(expression=ANY_HELLO[1], key="palanquin/run/leader/hello")

@@ -92,7 +92,7 @@ def listen(named: NamedScenario, folder: Path) -> Ear:
                     ear.end = payload
             if isinstance(message, State):
                 zeros = (0.0,) * 7
-                publisher.put(encode(Command(name, message.tick, 1, message.tau, (0.0, 0.0, 0.0), 0.0, zeros, 0)))
+                publisher.put(encode(Command(name, message.tick, 1, message.tau, (0.0, 0.0, 0.0), 0.0, zeros, 0.0, 0)))
             elif isinstance(message, LeaderView):
                 publisher.put(encode(LeaderForce(message.tick, 1, "centre", (0.0, 0.0, 0.0))))
             else:

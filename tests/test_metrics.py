@@ -319,7 +319,7 @@ def test_the_internal_part_of_a_mixed_grip_is_the_squeeze_in_it() -> None:
     seed=st.integers(0, 2**32 - 1),
     spread=st.floats(0.2, 3.0),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_internal_forces_move_nothing_and_taking_them_away_twice_changes_nothing(
     count: int, seed: int, spread: float
 ) -> None:

@@ -213,7 +213,7 @@ def test_a_machine_that_never_keeps_up_slows_simulated_time_by_what_it_lacks() -
     assert found["tick_late_us"]["max"] > 1e-3 * MOST_BEHIND * PERIOD_NS
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.integers(0, 6 * PERIOD_NS), min_size=1, max_size=60))
 def test_no_tick_begins_early_and_no_burst_is_longer_than_the_bound(steps_ns: list[int]) -> None:
     bench = RealBench(("a1",))
@@ -229,7 +229,7 @@ def test_no_tick_begins_early_and_no_burst_is_longer_than_the_bound(steps_ns: li
 # Whose command acts
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(st.one_of(st.none(), st.integers(0, 6 * PERIOD_NS)), min_size=1, max_size=40))
 def test_the_command_that_acts_is_the_newest_that_has_arrived(delays_ns: list[int | None]) -> None:
     """Whatever is dropped, late or overtaken on the way; the ages and the misses say the same."""

@@ -49,13 +49,13 @@ def same(one: Any, other: Any) -> bool:
     return type(one) is type(other) and bool(one == other)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(trees)
 def test_a_snapshot_is_the_same_after_bytes(tree: dict[str, Any]) -> None:
     assert same(tree, unpack(pack(tree)))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.binary() | trees.map(pack).flatmap(lambda data: st.integers(0, len(data)).map(lambda cut: data[:cut])))
 def test_any_bytes_are_a_snapshot_or_refused(data: bytes) -> None:
     try:
@@ -92,7 +92,7 @@ def test_a_stream_of_random_numbers_goes_on_where_it_stood(seed: int, drawn: int
     np.testing.assert_array_equal(stream.standard_normal(9), other.standard_normal(9))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2 * TICKS_AHEAD + 2), st.integers(0, 5))
 def test_noise_goes_on_where_it_stood(drawn: int, before: int) -> None:
     """Also at the very start, at the end of what was drawn ahead, and in a noise that was used already."""
@@ -150,7 +150,6 @@ def carry_out(motors: MotorDrivers, plan: list[Any], start: int) -> tuple[list[A
     return seen, now
 
 
-@settings(deadline=None)
 @given(st.lists(deeds, max_size=12), st.lists(deeds, max_size=12), st.integers(0, 2))
 def test_motor_drivers_go_on_as_those_that_they_were_taken_from(
     before: list[Any], after: list[Any], delay: int

@@ -47,7 +47,7 @@ def whole(folder: Path, block: Array) -> bytes:
     return (folder / "trace.parquet").read_bytes()
 
 
-@settings(max_examples=12, deadline=None)  # each writes two files of 60 columns
+@settings(max_examples=12)  # each writes two files of 60 columns
 @given(kept=st.integers(0, 50), lost=st.integers(0, 30), torn=st.integers(0, 100))
 def test_a_trace_that_was_cut_anywhere_and_gone_on_with_is_the_one_that_was_not(
     tmp_path_factory: pytest.TempPathFactory, kept: int, lost: int, torn: int

@@ -163,6 +163,7 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
             "base_force": _three,
             "grip_m": _number,
             "stiffness": _joints,
+            "residual_W": _number,
             "step_ns": _integer,
         },
     ),

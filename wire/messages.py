@@ -88,7 +88,7 @@ class State(Struct, frozen=True, gc=False):
 
 
 class Command(Struct, frozen=True, gc=False):
-    """What one agent wants at one tick. ``stiffness`` and ``step_ns`` are a report: recorded, never obeyed."""
+    """What one agent wants at one tick. From ``stiffness`` on it is a report: recorded, never obeyed."""
 
     arm: Name
     tick: Count
@@ -102,6 +102,8 @@ class Command(Struct, frozen=True, gc=False):
     """How far the fingers shall open, m: 0 closes them on whatever is between them."""
     stiffness: Joints
     """(n,) present joint stiffness, N m/rad."""
+    residual_W: float
+    """Power that the law put into the hand beyond what its springs gave back and its dampers took."""
     step_ns: Count
     """Wall time that the controller's step took."""
 

@@ -35,6 +35,9 @@ class Effort(Struct, frozen=True, gc=False):
     """(3,) force x, y in N and yaw torque in N m on the mobile base, in the base frame B."""
     stiffness: Array
     """(n,) present joint stiffness, N m/rad: a report for the record, nobody obeys it."""
+    residual_W: float = 0.0
+    """Passivity residual, a report too: power that the law put into the hand beyond what its springs gave back and its
+    dampers took. 0 from a law that does not keep account of it."""
 
 
 class Controller(Protocol):

@@ -151,11 +151,9 @@ class PalanquinController:
 
     At its first step the observer takes what the arm bears at that moment for the load, as if at rest.
 
-    Attributes:
-        passivity_residual_W: power that the law gave to the hand in the last step beyond what its springs gave back
-            and its dampers took, in the directions that have a memory, and against the reference if there is one. At
-            most 0 where it is passive; the observer's and the force correction's parts have either sign. For the
-            record.
+    Its passivity residual (:class:`agents.controllers.interface.Effort`) is that of the directions that have a memory,
+    against the reference if there is one. At most 0 where the law is passive; the observer's and the force correction's
+    parts have either sign.
 
     Raises:
         pydantic.ValidationError: a gain is unknown or not a number in its range.
@@ -177,7 +175,6 @@ class PalanquinController:
         self._law = Traced(law, shapes)
         self._holds = False
         self._height_m: float | None = None
-        self.passivity_residual_W = 0.0
 
     def carry_at(self, height_m: float) -> None:
         """Hold this height, m in B, and the hand straight down, instead of what is found at the first step."""
@@ -200,8 +197,7 @@ class PalanquinController:
         law()
         torque, base_force, stiffness, p, r, f, K, residual, *_ = law.outputs
         inputs["p"][:], inputs["r"][:], inputs["f"][:], inputs["K"][:] = p, r, f, K
-        self.passivity_residual_W = float(residual[0])
-        return Effort(torque.copy(), base_force.copy(), stiffness.copy())
+        return Effort(torque.copy(), base_force.copy(), stiffness.copy(), float(residual[0]))
 
     def _begin(self, sensed: Sensed) -> None:
         """Keep the pose of the hand as it is, or what was told of it; and a memory that this step fills: the observer

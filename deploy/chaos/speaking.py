@@ -74,7 +74,7 @@ def _asks(key: Callable[[Target], str], make: Callable[[Target], bytes]) -> Call
 
 
 def command(arm: str, *, tick: int, lease: int) -> bytes:
-    return encode(Command(arm, tick, lease, SEVEN, (0.0, 0.0, 0.0), 0.0, SEVEN, 0))
+    return encode(Command(arm, tick, lease, SEVEN, (0.0, 0.0, 0.0), 0.0, SEVEN, 0.0, 0))
 
 
 def hello(target: Target, name: str, role: Literal["follower", "leader"] = "follower") -> bytes:
