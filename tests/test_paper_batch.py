@@ -141,12 +141,14 @@ def entry(**metrics: Any) -> dict[str, Any]:
 
 
 def test_verifying_sees_one_bit_with_the_same_versions_and_a_part_in_a_thousand_with_others() -> None:
-    same, close, far = ({"tilt_max_deg": value, "wall_s": 99.0} for value in (0.2, 0.2 + 1e-9, 0.3))
+    values = (0.2, 0.2 + 1e-9, 0.3)
+    same, close, far = ({"tilt_max_deg": value, "wall_s": 99.0, "verdict": "holds"} for value in values)
     assert differences(entry(), same, exact=True) == [], "wall times are no physics"
     assert [each.metric for each in differences(entry(), close, exact=True)] == ["tilt_max_deg"]
     assert differences(entry(), close, exact=False) == []
     assert [each.metric for each in differences(entry(), far, exact=False)] == ["tilt_max_deg"]
-    assert [each.metric for each in differences(entry(), {}, exact=False)] == ["tilt_max_deg"], "gone is not close"
+    gone = {"verdict": "violated"}
+    assert [each.metric for each in differences(entry(), gone, exact=False)] == ["tilt_max_deg", "verdict"]
 
 
 def test_a_reports_entry_is_the_run_that_it_was_made_of() -> None:

@@ -12,11 +12,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from deploy.paper import figures
-from deploy.paper.ablations import ABLATIONS
+from deploy.paper.ablations import ABLATIONS, SWEEPS
 from deploy.paper.figures import Shown, Swept
 from deploy.paper.judging import TRAJECTORY, disturbed_s, wanted_height
 from deploy.paper.plan import SECTION_VI
-from deploy.paper.report import COMPARED
+from deploy.paper.report import COMPARED, swept
 from deploy.paper.results import Results, hand_places
 
 log = logging.getLogger("palanquin.paper")
@@ -61,6 +61,22 @@ def draw_ablations(results: Results, file: Path) -> bool:
                         found = [results.spread(metric, ablation.name, value, law) for value in ablation.values]
                         metrics[heading][law] = [each.median if each else None for each in found]
             rows.append(Swept(ablation.label, numbers, metrics))
+    if rows:
+        figures.figure_ablations(rows, file)
+    return bool(rows)
+
+
+def draw_sweeps(results: Results, file: Path) -> bool:
+    """Draw the sweeps of the trajectory, if any was run."""
+    rows = []
+    for sweep in SWEEPS:
+        metrics: dict[str, dict[str, list[float | None]]] = {}
+        for law in sweep.presets:
+            for value in sweep.values:
+                for heading, found in swept(results, sweep.name, value, law).items():
+                    metrics.setdefault(heading, {}).setdefault(law, []).append(found.median if found else None)
+        if any(y is not None for laws in metrics.values() for found in laws.values() for y in found):
+            rows.append(Swept(sweep.label, [float(value) for value in sweep.values], metrics))
     if rows:
         figures.figure_ablations(rows, file)
     return bool(rows)

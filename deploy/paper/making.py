@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from deploy.paper.ablations import TIMES_THREE
-from deploy.paper.drawing import LAWS, draw, draw_ablations
+from deploy.paper.drawing import LAWS, draw, draw_ablations, draw_sweeps
 from deploy.paper.judging import CLAIMS, Judged, judge
 from deploy.paper.plan import SECTION_VI, Run
 from deploy.paper.report import (
@@ -20,13 +20,14 @@ from deploy.paper.report import (
     sweep_tables,
     targets_table,
     to_html,
+    versions_text,
     write_json,
 )
 from deploy.paper.results import Results
 from deploy.paper.targets import TARGETS
 from deploy.paper.verifying import REPORT
 
-ABLATIONS_PNG = "paper-ablations.png"
+ABLATIONS_PNG, SWEEPS_PNG = "paper-ablations.png", "paper-sweeps.png"
 
 
 def make_report(runs: Sequence[Run], root: Path, out: Path, command: str) -> tuple[Judged, ...]:
@@ -42,7 +43,8 @@ def make_report(runs: Sequence[Run], root: Path, out: Path, command: str) -> tup
     targets = tuple(judge(claim, results, "palanquin") for claim in TARGETS)
     drawn = draw(results, out)
     curves = draw_ablations(results, out / ABLATIONS_PNG)
-    text = _text(runs, results, judged, targets, drawn, command, curves=curves)
+    sweeps = draw_sweeps(results, out / SWEEPS_PNG)
+    text = _text(runs, results, judged, targets, drawn, command, curves=curves, sweeps=sweeps)
     (out / "paper.md").write_text(text, encoding="utf-8")
     (out / "paper.html").write_text(to_html(text, out, "The paper, reproduced"), encoding="utf-8")
     everything = (*judged["paper"], *judged["palanquin"], *targets)
@@ -59,6 +61,7 @@ def _text(
     command: str,
     *,
     curves: bool,
+    sweeps: bool,
 ) -> str:
     seeds = max((len(results.seeds("VI-C", condition.name, "paper")) for condition in SECTION_VI["VI-C"]), default=0)
     parts = [
@@ -84,7 +87,7 @@ def _text(
         "## All conditions, both laws",
         *(f"### {group}\n\n{conditions_table(results, group)}" for group in SECTION_VI),
         *_section("VI-C with three times the differences", conditions_table(results, TIMES_THREE, "VI-C")),
-        *_section("VI-B, swept", sweep_tables(results)),
+        *_section("VI-B, swept", (f"![Error and torque]({SWEEPS_PNG})\n\n" if sweeps else "") + sweep_tables(results)),
         *_section(
             "What the paper leaves out",
             (f"![Metrics over what is changed]({ABLATIONS_PNG})\n\n" if curves else "") + ablation_tables(results),
@@ -92,9 +95,9 @@ def _text(
             "numbers of the time until then.",
         ),
         "## What it rests on",
-        "Every run's scenario, settings, seed, digest and metrics are in paper.json; "
-        "`palanquin run SCENARIO --seed N --set ...` with these is that run. The digests here are over those of the "
-        "resolved scenarios.",
+        "Every run's command, scenario, settings, seed, digest and metrics are in paper.json, with the versions of "
+        f"all that it ran on: {versions_text(runs, results)}. The digests here are over those of the resolved "
+        "scenarios.",
         runs_table(runs),
     ]
     return "\n\n".join(part.strip() for part in parts if part.strip()) + "\n"

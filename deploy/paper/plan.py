@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -97,6 +98,12 @@ class Run:
     def place(self) -> str:
         """Where its run folder lies, under the report's."""
         return f"{self.scenario}/seed-{self.seed}-{self.digest[:12]}"
+
+    @property
+    def command(self) -> str:
+        """That makes it again."""
+        settings = [word for setting in self.settings() for word in ("--set", setting)]
+        return shlex.join(["palanquin", "run", self.scenario, "--seed", str(self.seed), *settings])
 
     def resolved(self) -> dict[str, Any]:
         """The whole scenario as the simulator gets it."""

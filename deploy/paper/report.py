@@ -16,8 +16,7 @@ from deploy.paper.judging import Judged, height_error
 from deploy.paper.plan import SECTION_VI, Run
 from deploy.paper.results import Results
 from deploy.paper.statistics import Spread, spread
-from sim_server.run_description import versions
-from sim_server.run_folder import METRICS
+from deploy.paper.verifying import physical
 
 WORDS = {"holds": "holds", "violated": "**does not hold**", "unknown": "open"}
 COMPARED = (
@@ -129,6 +128,15 @@ def ablation_tables(results: Results) -> str:
     return "\n".join(parts)
 
 
+def swept(results: Results, sweep: str, value: str, preset: str) -> dict[str, Spread | None]:
+    """What a sweep of the trajectory is about, by its heading."""
+    runs = [results.run(sweep, value, preset, seed) for seed in results.seeds(sweep, value, preset)]
+    return {
+        "height error, rms [mm]": spread(1e3 * rms(height_error(results, run)) for run in runs),
+        "summed torque, mean [N m]": spread(float(summed_torque(results.trace(run)).mean()) for run in runs),
+    }
+
+
 def sweep_tables(results: Results) -> str:
     """A table for each sweep of the trajectory: error of the hand's height, and the joints' summed torque."""
     parts = []
@@ -136,14 +144,11 @@ def sweep_tables(results: Results) -> str:
         rows = []
         for value in sweep.values:
             for preset in sweep.presets:
-                where = sweep.name, value, preset
-                runs = [results.run(*where, seed) for seed in results.seeds(*where)]
-                error = spread(1e3 * rms(height_error(results, run)) for run in runs)
-                torque = spread(float(summed_torque(results.trace(run)).mean()) for run in runs)
-                if error and torque:
-                    rows.append([value, preset, error.text(), torque.text()])
+                found = swept(results, sweep.name, value, preset)
+                if all(found.values()):
+                    rows.append([value, preset, *(each.text() for each in found.values() if each)])
         if rows:
-            head = [sweep.label, "law", "height error, rms [mm]", "summed torque, mean [N m]"]
+            head = [sweep.label, "law", *found]
             parts.append(f"### {sweep.label.capitalize()}\n\n{table(head, rows)}")
     return "\n".join(parts)
 
@@ -163,7 +168,7 @@ def describe(runs: Sequence[Run], results: Results, judged: Sequence[Judged], co
     """The content of paper.json: every run that the report rests on, with the digests of what went in and came out."""
     return {
         "command": command,
-        "versions": versions(),
+        "versions": versions_of(runs, results),
         "claims": [
             {
                 "name": each.claim.name,
@@ -183,17 +188,32 @@ def describe(runs: Sequence[Run], results: Results, judged: Sequence[Judged], co
                 "scenario": run.scenario,
                 "changes": run.changes,
                 "seed": run.seed,
+                "command": run.command,
                 "digest": run.digest,
-                "metrics_sha256": _digest(results.folder(run) / METRICS),
-                "metrics": results.metrics(run),
+                "metrics_sha256": _digest(metrics),
+                "metrics": metrics,
             }
-            for run in runs
+            for run, metrics in ((run, physical(results.metrics(run))) for run in runs)
         ],
     }
 
 
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+def _digest(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def versions_of(runs: Sequence[Run], results: Results) -> dict[str, str | None]:
+    """What the runs ran on; more than one version of something with " or " between them."""
+    found: dict[str, dict[str | None, None]] = {}
+    for run in runs:
+        for name, version in results.about(run)["versions"].items():
+            found.setdefault(name, {})[version] = None
+    return {name: " or ".join(str(each) for each in those) if any(those) else None for name, those in found.items()}
+
+
+def versions_text(runs: Sequence[Run], results: Results) -> str:
+    """Names and versions in a line."""
+    return ", ".join(f"{name} {version}" for name, version in versions_of(runs, results).items() if version)
 
 
 def runs_table(runs: Sequence[Run]) -> str:

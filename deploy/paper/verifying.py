@@ -97,6 +97,11 @@ def run_again(entry: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     return found
 
 
+def physical(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """What every run of the same thing shares: all but wall times; and the verdict."""
+    return {name: metrics.get(name) for name in (*NUMBERS, "verdict") if name not in WALL_TIME}
+
+
 def differences(entry: Mapping[str, Any], found: Mapping[str, Any], *, exact: bool) -> list[Difference]:
     """The physical metrics that are not what the report says.
 
@@ -104,9 +109,9 @@ def differences(entry: Mapping[str, Any], found: Mapping[str, Any], *, exact: bo
         exact: with the same versions every bit has to be the same.
     """
     out = []
-    for metric in NUMBERS:
-        reported, now = entry["metrics"].get(metric), found.get(metric)
-        if metric in WALL_TIME or reported == now:
+    for metric, now in physical(found).items():
+        reported = entry["metrics"].get(metric)
+        if reported == now:
             continue
         if exact or not _close(reported, now):
             out.append(Difference(entry["name"], metric, reported, now))
