@@ -127,7 +127,7 @@ class Ticker(ABC):
 
     def freeze(self, name: str) -> None:
         """The agent's process is stopped, and that is known: it cannot answer, so nobody waits for it, and the loss of
-        its sign of life (after half a second of wall time) says nothing new. It is lost by its missed ticks."""
+        its sign of life (after seconds of wall time) says nothing new. It is lost by its missed ticks."""
         self._frozen.add(name)
 
     def thaw(self, name: str) -> None:

@@ -23,8 +23,8 @@ from wire.link import Link, Publisher, Question
 from wire.messages import Goodbye, Hello, Leaving, Message, Refusal, Vector, Welcome
 
 LEADER = "leader"
-HELD_S = 1.5
-"""An agent waits two seconds for an answer to its greeting before it greets again."""
+HELD_S = 8.0
+"""An agent waits ten seconds for an answer to its greeting before it greets again."""
 STRANGERS_KEPT = 100
 """Kinds of strangers that are told apart; a flood of names must not fill the memory."""
 

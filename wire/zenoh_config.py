@@ -25,10 +25,10 @@ COMMON: Mapping[str, Any] = {
     "timestamping": {"enabled": False},
     "adminspace": {"enabled": False},
     "transport": {
-        "unicast": {"qos": {"enabled": False}, "lowlatency": False, "open_timeout": 2000, "accept_timeout": 2000},
+        "unicast": {"qos": {"enabled": False}, "lowlatency": False, "open_timeout": 5000, "accept_timeout": 5000},
         "link": {
             "tx": {
-                "lease": 500,
+                "lease": 10_000,
                 "keep_alive": 4,
                 "queue": {
                     "size": {"data": 16},

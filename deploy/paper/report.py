@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deploy.paper.ablations import ABLATIONS, SWEEPS
 from deploy.paper.claims import rms, summed_torque
 from deploy.paper.judging import Judged, height_error
@@ -56,6 +58,24 @@ def claims_table(judged: Sequence[Judged]) -> str:
             ]
         )
     return table(["claim", "the paper", "measured", "median (90 % range)", "bound", "seeds", ""], rows)
+
+
+def claims_summary(content: Mapping[str, Any]) -> str:
+    """The README's table, from the content of a paper.json: each claim with both laws' medians and verdicts."""
+    cells: dict[str, dict[str, str]] = {}
+    bounds: dict[str, str] = {}
+    for each in content["claims"]:
+        if each["values"]:
+            number = f"{float(np.median(each['values'])):.3g}"
+            text = number if each["verdict"] == "holds" else f"{number}, {WORDS[each['verdict']]}"
+            cells.setdefault(each["name"], {})[each["law"]] = text
+            bounds[each["name"]] = f"{each['bound']} {each['unit']}".strip()
+    rows = [
+        [name, bounds[name], by_law["paper"], by_law.get("palanquin", "")]
+        for name, by_law in cells.items()
+        if "paper" in by_law
+    ]
+    return table(["claim", "bound", "`paper`", "`palanquin`"], rows)
 
 
 def targets_table(judged: Sequence[Judged]) -> str:
@@ -176,6 +196,7 @@ def describe(runs: Sequence[Run], results: Results, judged: Sequence[Judged], co
                 "verdict": each.verdict,
                 "values": [found.value for found in each.found],
                 "bound": each.found[0].bound if each.found else "",
+                "unit": each.found[0].unit if each.found else "",
             }
             for each in judged
         ],
