@@ -16,7 +16,7 @@ from deploy.paper.batch import Done, is_there, run_missing
 from deploy.paper.plan import Run, merged, section_vi_runs
 from deploy.paper.verifying import REPORT, ReportError, differences, read_report, run_of, sample
 from deploy.settings import scenario_changes
-from sim_server.run_folder import METRICS, RUN, TRACE
+from sim_server.run_folder import EVENTS, METRICS, RUN, TRACE
 from sim_server.scenario_files import load_scenario
 
 
@@ -32,6 +32,7 @@ def leave(root: Path, done: Run, **changed: Any) -> None:
     (folder / RUN).write_text(json.dumps(about))
     (folder / METRICS).write_text("{}")
     (folder / TRACE).touch()
+    (folder / EVENTS).write_text(json.dumps({"kind": "started"}) + "\n")
 
 
 def planned() -> list[Run]:
@@ -126,6 +127,12 @@ def test_another_run_in_the_same_place_or_half_of_one_is_not_taken_for_it(tmp_pa
         assert not is_there(run(1), root)
     root = tmp_path / "whole"
     leave(root, run(1))
+    assert is_there(run(1), root)
+    with (root / run(1).place / EVENTS).open("a") as events:
+        print(json.dumps({"kind": "lost", "agent": "a2", "why": "it hung"}), file=events)
+    assert not is_there(run(1), root), "a run that lost somebody is not the one that was asked for"
+    leave(tmp_path / "again", run(1))
+    root = tmp_path / "again"
     assert is_there(run(1), root)
     (root / run(1).place / TRACE).unlink()
     assert not is_there(run(1), root)

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 from deploy.exit_status import COULD_NOT_RUN
 from deploy.paper.plan import Run
 from sim_server.errors import SimError
-from sim_server.run_folder import METRICS, RUN, TRACE, write_json
+from sim_server.run_folder import EVENTS, METRICS, RUN, TRACE, write_json
 
 LONGEST_S = 1800.0
 """Wall time after which a run is given up: a hundred times what the longest should take."""
@@ -59,9 +59,17 @@ def is_there(run: Run, root: Path) -> bool:
         return False
     try:
         found = json.loads((folder / RUN).read_text(encoding="utf-8"))
-        return bool(found["scenario"] == run.resolved() and found["ended"]["completed"])
+        is_it = bool(found["scenario"] == run.resolved() and found["ended"]["completed"])
+        return is_it and not lost_agents(folder)
     except (OSError, ValueError, LookupError, TypeError):
         return False
+
+
+def lost_agents(folder: Path) -> list[str]:
+    """Who was lost in a run, with the reason. No run here loses anybody on purpose: it is then not the run that was
+    asked for. Raises ``OSError`` and ``ValueError`` where the events cannot be read."""
+    lines = (folder / EVENTS).read_text(encoding="utf-8").splitlines()
+    return [f"{event['agent']} ({event['why']})" for event in map(json.loads, lines) if event["kind"] == "lost"]
 
 
 def run_one(run: Run, folder: str) -> str:
@@ -94,6 +102,8 @@ def run_one(run: Run, folder: str) -> str:
     if took_s >= LONGEST_S:
         return f"not at its end after {LONGEST_S:g} s"
     if (Path(folder) / METRICS).exists():
+        if lost := lost_agents(Path(folder)):
+            return f"lost {', '.join(lost)}, which nobody ordered: not the run that was asked for"
         write_json(Path(folder) / COST, {"wall_s": round(took_s, 2), "processor_s": used.ru_utime + used.ru_stime})
         return ""
     return f"exit status {launched.returncode}: {said[-1] if said else 'it said nothing'}"
