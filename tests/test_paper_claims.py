@@ -134,12 +134,17 @@ def test_a_loss_is_felt_only_if_both_tilt_and_yaw_are_twice_the_undisturbed() ->
     assert not claims.is_felt(yaw_only, undisturbed).holds
 
 
-def test_one_arm_fails_if_the_load_comes_down_or_tips() -> None:
-    assert not claims.needs_a_team(carried()).holds
+def test_one_arm_fails_if_a_corner_of_the_load_comes_down_to_the_floor() -> None:
+    footprint = (1.6, 0.9)
+    assert claims.needs_a_team(carried(), footprint).value == pytest.approx(0.1)
+    assert not claims.needs_a_team(carried(), footprint).holds
     down = carried()
     down["load.position"][:, 2] -= bump(0.11, 3, 10)
-    assert claims.needs_a_team(down).holds
-    assert claims.needs_a_team(carried(**{"load.quat_wxyz": quats(bump(11.0, 3, 10))})).holds
+    assert claims.needs_a_team(down, footprint).holds
+    for tilt, holds in ((12.0, False), (14.0, True)):  # 0.45 m sin(12.8 deg) = 0.1 m, whatever the yaw
+        rolled = claims.needs_a_team(carried(**{"load.quat_wxyz": quats(bump(tilt, 3, 10), 30.0)}), footprint)
+        assert rolled.value == pytest.approx(0.1 - 0.45 * np.sin(np.radians(tilt)))
+        assert rolled.holds is holds
 
 
 @pytest.mark.parametrize(

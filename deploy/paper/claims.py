@@ -37,8 +37,6 @@ BACK_AFTER_S, BACK_WITHIN_DEG = 1.0, 0.2
 """Quickly back to the initial pose: a second after the push the tilt is no more than this above that before it."""
 STRAIGHT = 1.1
 """Smoothly: the way is at most a tenth longer than the straight one."""
-DROPPED_M, TOPPLED_DEG = 0.10, 10.0
-"""A load that one arm cannot carry: it comes down or tips by so much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +156,16 @@ def is_felt(lost: Trace, undisturbed: Trace) -> Found:
     return at_least(min(tilt / tilt_0, yaw / yaw_0), "of undisturbed", 2.0)
 
 
-def needs_a_team(alone: Trace) -> Found:
-    """What one arm makes of the load: the worse of how far it comes down and how far it tips, each over its bound."""
-    down = float(alone["load.position"][0, 2] - alone["load.position"][:, 2].min()) / DROPPED_M
-    tipped = float(tilt_deg(alone["load.quat_wxyz"]).max()) / TOPPLED_DEG
-    return at_least(max(down, tipped), "of its bound", 1.0)
+def needs_a_team(alone: Trace, footprint_m: tuple[float, float]) -> Found:
+    """Height of the lowest corner of the load's footprint, m, at its lowest: one arm alone cannot keep it off the floor.
+
+    Args:
+        footprint_m: length along x and width along y of the load; its frame O is in the middle, on the lowest level.
+    """
+    w, x, y, z = alone["load.quat_wxyz"].T
+    up_x, up_y = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x)  # what x and y of O rise by in the world
+    lean = np.abs(up_x) * footprint_m[0] / 2 + np.abs(up_y) * footprint_m[1] / 2
+    return at_most(float((alone["load.position"][:, 2] - lean).min()), "m", 0.0)
 
 
 def rms(values: Array) -> float:

@@ -24,6 +24,8 @@ Trace = Mapping[str, Array]
 
 XYZ = ("x", "y", "z")
 DPI = 120
+WIDE = 20.0
+"""Largest over smallest number from which an axis of an ablation is logarithmic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,12 +160,15 @@ def figure_ablations(rows: Sequence[Swept], file: Path) -> None:
                 there = [(x, y) for x, y in zip(swept.values, found, strict=True) if y is not None]
                 if there:
                     panel.plot(*zip(*there, strict=True), color=COLOURS[k], marker="os^"[k % 3], label=law)
-            panel.set_yscale("log")
+            numbers = [y for laws in swept.metrics[heading].values() for y in laws if y]
+            if numbers and max(numbers) > WIDE * min(numbers):
+                panel.set_yscale("log")
             panel.set_title(heading, fontsize=9)
             panel.set_xlabel(swept.label, fontsize=8)
             panel.tick_params(labelsize=7)
             panel.grid(alpha=0.3)
-    axes[0, 0].legend(fontsize=7)
+        if line is axes[0] or len(swept.metrics[metrics[0]]) > 1:
+            line[0].legend(fontsize=7)
     _save(figure, file)
 
 

@@ -192,7 +192,8 @@ def _felt(results: Results, preset: str, seed: int) -> Found:
 
 
 def _alone(results: Results, preset: str, seed: int) -> Found:
-    return claims.needs_a_team(_trace(results, ALONE, "1", preset, seed))
+    length, width, _ = results.about(results.run(ALONE, "1", preset, seed))["scenario"]["load"]["size_m"]
+    return claims.needs_a_team(_trace(results, ALONE, "1", preset, seed), (float(length), float(width)))
 
 
 CLAIMS: tuple[Claim, ...] = (
@@ -201,7 +202,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("dynamic stiffness: smaller error", "dynamic stiffness control allows for smaller position error",
           "rms height error", TRAJECTORY, _smaller_error),
     Claim("dynamic stiffness: smaller torque", "and smaller overall joint forces",
-          "mean of the joints' summed |torque|", TRAJECTORY, _smaller_torque),
+          "mean of the sum of the joints' torques' sizes", TRAJECTORY, _smaller_torque),
     Claim("dynamic stiffness: faster", "with faster convergence to steady-state torque application",
           "time until the torque has settled", TRAJECTORY, _faster),
     *_carries("undisturbed", "the payload moves smoothly to the goal location"),
@@ -215,6 +216,6 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("failed-grasp: is felt", "the loss of an agent has a noticeable effect on in-plane and out-of-plane rotation",
           "the smaller of the ratios of tilt and yaw", ("VI-C", "failed-grasp"), _felt),
     Claim("alone: fails", "an object too heavy or unwieldy for one to handle alone",
-          "how far it comes down or tips", (ALONE, "1"), _alone),
+          "height of its lowest corner over the floor, least", (ALONE, "1"), _alone),
 )  # fmt: skip
 """Every claim of section VI."""
