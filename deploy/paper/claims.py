@@ -157,7 +157,7 @@ def is_felt(lost: Trace, undisturbed: Trace) -> Found:
 
 
 def needs_a_team(alone: Trace, footprint_m: tuple[float, float]) -> Found:
-    """Height of the lowest corner of the load's footprint, m, at its lowest: one arm alone cannot keep it off the floor.
+    """Height of the lowest corner of the load's footprint, m, when it is lowest: one arm cannot keep it off the floor.
 
     Args:
         footprint_m: length along x and width along y of the load; its frame O is in the middle, on the lowest level.
