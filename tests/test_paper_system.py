@@ -11,7 +11,7 @@ from processes import run_to_end
 
 from deploy.paper.verifying import REPORT
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(1000)]
 
 OPEN = {"dynamic stiffness: smaller torque", "dynamic stiffness: faster"}
 """What does not hold, or not with this one seed: docs/paper.md has the numbers of twenty."""
@@ -19,7 +19,7 @@ OPEN = {"dynamic stiffness: smaller torque", "dynamic stiffness: faster"}
 
 def test_the_papers_experiments_run_and_their_claims_are_judged(tmp_path: Path) -> None:
     arguments = ("paper", "--short", "--law", "fixed", "--law", "paper", "--runs", "runs", "--out", "report")
-    ended = run_to_end(*arguments, cwd=tmp_path, patience_s=350)
+    ended = run_to_end(*arguments, cwd=tmp_path, patience_s=900)
     assert ended.returncode in (0, 1), ended.stdout + ended.stderr
     report = json.loads((tmp_path / "report" / REPORT).read_text())
     judged = {each["name"]: each for each in report["claims"] if each["law"] == "paper"}
