@@ -12,6 +12,7 @@ BIN      := $(VENV)/bin
 STAMP    := $(VENV)/installed
 LOCK     := requirements.lock
 LOCK_BOX := .lock-venv
+IMAGES   := follower sim
 TYPED    := wire agents sim_server deploy tests benchmarks
 SIDE_BY_SIDE := -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 PIP_INSTALL := -m pip --disable-pip-version-check --no-input install --progress-bar off --quiet
@@ -59,12 +60,17 @@ test: lint ## lint, then all tests (PYTEST_ARGS=... is passed on)
 	@$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(PYTEST_ARGS)
 
 # Keeps the versions already locked unless pyproject.toml asks otherwise; UPGRADE=--upgrade takes the newest.
+# An image installs one role of it, from a lock of its own: the same versions, without the rest.
+COMPILE := $(LOCK_BOX)/bin/uv pip compile pyproject.toml --universal --python-version 3.11 --fork-strategy fewest \
+  --generate-hashes --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" --quiet
 .PHONY: lock
 lock: python ## rebuild requirements.lock (UPGRADE=--upgrade takes the newest versions)
 	@test -x $(LOCK_BOX)/bin/uv || { "$(PYTHON)" -m venv $(LOCK_BOX) && $(LOCK_BOX)/bin/python $(PIP_INSTALL) uv; }
-	@$(LOCK_BOX)/bin/uv pip compile pyproject.toml --extra all --group dev --universal --python-version 3.11 \
-	  --fork-strategy fewest --generate-hashes --no-emit-index-url --no-emit-find-links \
-	  --custom-compile-command "make lock" $(UPGRADE) --quiet --output-file $(LOCK)
+	@$(COMPILE) --extra all --group dev $(UPGRADE) --output-file $(LOCK)
+	@for role in $(IMAGES); do \
+	  rm -f deploy/requirements-$$role.lock; \
+	  $(COMPILE) --extra $$role --group build --constraint $(LOCK) --output-file deploy/requirements-$$role.lock; \
+	done
 
 .PHONY: clean
 clean: ## remove .venv, caches and build products (runs/ stays)

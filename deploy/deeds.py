@@ -1,5 +1,6 @@
-"""Deeds done to processes for a scenario's events: kill, stop, continue and start, each confirmed by the kernel; and
-leave, which takes an agent simulated time and is therefore only asked for."""
+"""Deeds done for a scenario's events: kill, stop, continue and start, each confirmed; and leave, which takes an agent
+simulated time and is therefore only asked for. Here to processes of this machine; deploy/docker_engine.py does them to
+containers."""
 
 from __future__ import annotations
 
@@ -23,18 +24,17 @@ Find = Callable[[str], "subprocess.Popen[bytes] | None"]
 
 
 class Doer:
-    """Does what the simulator asks for and reports it.
+    """Has done what the simulator asks for and reports it.
 
     Args:
         link: the operator's.
         run: name of the run.
-        find: the process of an agent.
-        start: starts an agent's process anew.
+        do: does a deed, and tells what was in the way, or nothing.
     """
 
-    def __init__(self, link: Link, run: str, find: Find, start: Callable[[str], None]) -> None:
+    def __init__(self, link: Link, run: str, do: Callable[[Deed], str]) -> None:
         keys = Keys(run)
-        self._find, self._start = find, start
+        self._do = do
         self._asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._report = link.publisher(keys.order)
         link.subscribe(keys.deeds, self._asked.put)
@@ -49,7 +49,19 @@ class Doer:
                 return
             self._report.put(encode(Done(deed.number, self._do(deed))))
 
-    def _do(self, deed: Deed) -> str:
+
+class Processes:
+    """The agents' processes, children of this one.
+
+    Args:
+        find: the process of an agent.
+        start: starts an agent's process anew.
+    """
+
+    def __init__(self, find: Find, start: Callable[[str], None]) -> None:
+        self._find, self._start = find, start
+
+    def do(self, deed: Deed) -> str:
         """Do it; what was in the way, or nothing."""
         process = self._find(deed.agent)
         if deed.verb == "start":

@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.deeds import Doer
+from deploy.deeds import Doer, Processes
 from deploy.mailbox import Mailbox
 from deploy.room import Rooms, room_environment
 from sim_server.run_folder import LOGS, claim_logs
@@ -176,7 +176,7 @@ class Launcher:
         started = False
         news: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         link.subscribe(Keys(self._run).progress, news.put)
-        doer = Doer(link, self._run, self._process_of, self._start_agent)
+        doer = Doer(link, self._run, Processes(self._process_of, self._start_agent).do)
         orders = link.publisher(Keys(self._run).order)
         self._mailbox = Mailbox(self._folder)
         while self.sim.process.poll() is None:

@@ -6,11 +6,14 @@ import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
+from deploy.exit_status import COULD_NOT_RUN
 from wire.errors import CredentialError
+
+Engine = Literal["docker"]
 
 app = typer.Typer(help="Attack a run on purpose, and see what holds.", no_args_is_help=True)
 
@@ -75,6 +78,30 @@ def attack(
     target = Target(connect, run, arm, tuple(other), proof, tuple(private or ()), tuple(pid or ()))
     for row in try_all(target, ATTEMPTS):
         print(json.dumps({"name": row.name, "way": row.way, **asdict(row.got)}), flush=True)
+
+
+@app.command()
+def deeds(
+    engine: Annotated[Engine, typer.Option(help="What runs the agents.")],
+    run: Annotated[str, typer.Option("--run", help="Name of the run.")] = "carry",
+    connect: Annotated[str, typer.Option("--connect", help="Address of the simulator.")] = "tls/localhost:7447",
+    credential: Annotated[
+        str | None, typer.Option("--credential", metavar="DIR", help="The operator's; - reads a line of stdin.")
+    ] = None,
+    wait_s: Annotated[float, typer.Option("--wait-s", min=0.0, help="Wait so long for the simulator.")] = 60.0,
+) -> None:
+    """Do to containers what the scenario of a run wants done to processes: kill, stop, continue, start, leave.
+
+    Ends with the simulator: status 0, or 3 if a deed could not be done.
+    """
+    from deploy.chaos.containers import do_deeds
+    from deploy.docker_engine import Docker
+    from deploy.links import own_credential
+    from wire.access import Role
+
+    own = own_credential(credential, Role.OPERATOR)
+    failed = do_deeds(Docker(run, engine), run, connect, own, wait_s, lambda text: print(text, flush=True))
+    raise typer.Exit(COULD_NOT_RUN if failed else 0)
 
 
 def _overlay(place: str) -> dict[str, Any]:
