@@ -22,7 +22,7 @@ unexport PYTHONPATH PYTHONHOME
 
 .PHONY: help
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
 .PHONY: install
 install: $(STAMP) ## set up .venv from requirements.lock (PYTHON=... chooses the interpreter)
@@ -58,6 +58,19 @@ lint: install ## ruff check, ruff format --check, mypy
 test: lint ## lint, then all tests (PYTEST_ARGS=... is passed on)
 	@echo "== pytest"
 	@$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(PYTEST_ARGS)
+
+# BASE=... for another base image, such as one that was made without the internet (docs/containers.md).
+.PHONY: images
+images: ## build the images palanquin-follower and palanquin-sim (needs Docker; BASE=... chooses the base)
+	@for role in $(IMAGES); do \
+	  echo "== image palanquin-$$role"; \
+	  docker build --quiet $(if $(BASE),--build-arg BASE=$(BASE)) -f deploy/Dockerfile --target $$role -t palanquin-$$role .; \
+	done
+
+.PHONY: test-containers
+test-containers: install images ## build the images, then test a carry in containers (needs Docker and Compose)
+	@echo "== pytest -m containers"
+	@$(BIN)/python -m pytest -m containers $(PYTEST_ARGS)
 
 # Keeps the versions already locked unless pyproject.toml asks otherwise; UPGRADE=--upgrade takes the newest.
 # An image installs one role of it, from a lock of its own: the same versions, without the rest.

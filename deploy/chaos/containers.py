@@ -69,7 +69,7 @@ def _open_patiently(connect: str, own: Credential | None, wait_s: float) -> Zeno
     while True:
         try:
             return open_client(connect, own, timeout_s=1.0)
-        except LinkError as error:
+        except LinkError:
             if time.monotonic() > deadline:
                 raise
         time.sleep(POLL_S)
