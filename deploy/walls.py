@@ -115,7 +115,8 @@ def _own_code_folders() -> list[Path]:
 
 def _is_code(path: Path) -> bool:
     if path.is_dir():
-        return path.name == "__pycache__" or ((path / "__init__.py").exists() and path.name != NOT_FOR_AGENTS)
+        has_code = os.path.exists(path / "__init__.py")  # False for a folder of somebody else, where pathlib raises
+        return path.name == "__pycache__" or (has_code and path.name != NOT_FOR_AGENTS)
     return path.suffix in CODE
 
 

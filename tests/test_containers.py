@@ -119,6 +119,14 @@ class Carry:
         project = f"label=com.docker.compose.project={self.project}"
         return docker("ps", "-aq", "--filter", project, "--filter", f"label=com.docker.compose.service={service}")
 
+    @property
+    def run(self) -> Path:
+        """The run folder, which the simulator's container writes."""
+        return self.place / "runs" / "carry"
+
+    def joined(self) -> set[str]:
+        return {str(event["agent"]) for event in read_events(self.run) if event["kind"] == "joined"}
+
     def look(self, service: str) -> Any:
         return json.loads(docker("inspect", self.container(service)))[0]
 
@@ -166,7 +174,7 @@ def carry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Carry]:
     carry = Carry(compose, f"palanquin-test-{secrets.token_hex(4)}", place, environment)
     try:
         carry.up("sim", "a1", "a2")
-        wait_until(lambda: "joined {'agent': 'a2'" in docker("logs", carry.container("sim")), "a2 to have joined")
+        wait_until(lambda: carry.joined() >= {"a1", "a2"}, "the followers to have joined")
         yield carry
     finally:
         carry.down()
@@ -221,7 +229,7 @@ def test_what_happens_to_a_container_is_what_happens_to_a_process_byte_for_byte(
         carry.up("leader")
         status = docker("wait", carry.container("sim"))
         assert deeds.end() == 0, deeds.said()
-    there = place / "runs" / "carry"
+    there = carry.run
     assert int(status) == here.returncode
     assert read_json(there / "run.json")["ended"]["completed"] is True, deeds.said()
 
