@@ -12,7 +12,7 @@ BIN      := $(VENV)/bin
 STAMP    := $(VENV)/installed
 LOCK     := requirements.lock
 LOCK_BOX := .lock-venv
-TYPED    := wire agents sim_server deploy tests benchmarks
+TYPED    := wire agents sim_server deploy tests benchmarks docs/docsite
 SIDE_BY_SIDE := -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 PIP_INSTALL := -m pip --disable-pip-version-check --no-input install --progress-bar off --quiet
 
@@ -29,7 +29,7 @@ install: $(STAMP) ## set up .venv from requirements.lock (PYTHON=... chooses the
 .PHONY: python
 python:
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
-	  echo "Palanquin needs Python 3.11, and '$(PYTHON)' is not one: install it, or name it with 'make install PYTHON=/path/to/python3.11'." >&2; \
+	  echo "Palanquin needs Python 3.11 or newer, and '$(PYTHON)' is not one: install it, or name it with 'make install PYTHON=/path/to/python3.11'." >&2; \
 	  exit 1; }
 
 $(STAMP): pyproject.toml $(LOCK) | python
@@ -43,6 +43,10 @@ $(STAMP): pyproject.toml $(LOCK) | python
 .PHONY: demo
 demo: install ## a team of arms carries a load: palanquin run transport
 	@$(BIN)/palanquin run transport
+
+.PHONY: docs
+docs: install ## build the documentation site into build/docs/site; a broken link is an error
+	@PYTHONPATH=docs $(BIN)/python -m docsite --into build/docs
 
 .PHONY: lint
 lint: install ## ruff check, ruff format --check, mypy
