@@ -21,7 +21,7 @@ unexport PYTHONPATH PYTHONHOME
 
 .PHONY: help
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
 .PHONY: install
 install: $(STAMP) ## set up .venv from requirements.lock (PYTHON=... chooses the interpreter)
@@ -61,6 +61,11 @@ lint: install ## ruff check, ruff format --check, mypy
 test: lint ## lint, then all tests (PYTEST_ARGS=... is passed on)
 	@echo "== pytest"
 	@$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(PYTEST_ARGS)
+
+# A minute or two and 1.5 GB, and it asks the package index: so it is no part of `make test`.
+.PHONY: wheel-check
+wheel-check: install ## build the wheel, install it into a new environment, and run a scenario there, outside the checkout
+	@$(BIN)/python tests/wheel_check.py
 
 # Keeps the versions already locked unless pyproject.toml asks otherwise; UPGRADE=--upgrade takes the newest.
 .PHONY: lock

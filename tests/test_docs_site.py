@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 import pytest
-from typer.main import TyperCommand, TyperGroup, get_command
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
 from deploy.cli import app
 from docsite import __main__ as docsite
@@ -67,8 +68,9 @@ def test_the_reference_names_every_verb_and_every_option() -> None:
     assert "..." not in [line[-3:] for line in page.splitlines() if line.startswith("* [")]
 
     def check(command: object, name: str) -> None:
-        assert re.search(rf"^#+ `{name}`$", page, re.MULTILINE), name
-        section = re.split(r"^#+ `", page.partition(f" `{name}`\n")[2], maxsplit=1, flags=re.MULTILINE)[0]
+        heading = "# Command line\n" if name == "palanquin" else f"# `{name}`\n"
+        assert page.count(heading) == 1, name
+        section = re.split(r"^#+ `", page.partition(heading)[2], maxsplit=1, flags=re.MULTILINE)[0]
         if isinstance(command, TyperGroup):
             for verb, below in command.commands.items():
                 assert f"[`{verb}`](#{f'{name}-{verb}'.replace(' ', '-')})" in section
@@ -109,7 +111,7 @@ def test_a_function_s_line_is_followed_by_its_source(tmp_path: Path) -> None:
         ("[x](../wire/kyes.py)", "a link to ../wire/kyes.py, and there is no such file"),
         ("[x](../wire)", "a link to the folder ../wire"),
         ("[`arms`](../wire/keys.py)", "wire/keys.py has no function arms"),
-        ("```math\n\\frac{1}\n```", "cannot be read"),
+        ("```math\n\\left( a\n```", "cannot be read"),
     ],
 )
 def test_what_is_not_there_is_refused_with_its_page(tmp_path: Path, text: str, said: str) -> None:

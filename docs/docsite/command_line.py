@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 HEADING = re.compile(r"^#+ `palanquin (?P<verb>[\w -]+)`\n\n(?P<help>[^\n]*)$", re.MULTILINE)
-CUT_SHORT = re.compile(r"^\* `(?P<name>\w+)`: .*\.\.\.$", re.MULTILINE)
+COMMAND = re.compile(r"^\* `(?P<name>\w[\w-]*)`: .*$", re.MULTILINE)
 SECTION = re.compile(r"(?=^#+ `palanquin)", re.MULTILINE)
 
 
@@ -36,5 +36,5 @@ def _whole_sentences(text: str) -> str:
             verb = group + line["name"]
             return f"* [`{line['name']}`](#palanquin-{verb.replace(' ', '-')}): {helps[verb]}"
 
-        sections.append(CUT_SHORT.sub(whole, section))
+        sections.append(COMMAND.sub(whole, section))
     return "".join(sections)
