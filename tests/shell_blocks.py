@@ -6,7 +6,7 @@ comment before it may say otherwise:
     <!-- shell: terminals -->          each line is a terminal of its own; all are started, and all have to end
     <!-- shell: not run, REASON -->    it is not run, and the reason says what holds it true instead
 
-A block of another language under a line that is only a file's name (``cabinet.toml``) is that file.
+A block of another language under a paragraph that begins with a file's name (```cabinet.toml`:``) is that file.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from typing import Literal
 BLOCK = re.compile(
     r"(?:^<!-- shell: (?P<how>[^\n]*) -->\n)?^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
 )
-NAMED = re.compile(r"`(?P<name>[\w.-]+\.(?:toml|py))`[^`\n]*(?:\n[^`\n]+)*\n\n```\w+\n(?P<text>.*?)^```$", re.M | re.S)
+NAMED = re.compile(
+    r"^`(?P<name>[\w.-]+\.(?:toml|py))`[:,][^\n]*\n(?:[^\n]+\n)*\n```\w+\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
+)
 
 
 @dataclass(frozen=True)

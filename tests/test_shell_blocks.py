@@ -27,7 +27,8 @@ PAGES = [
 ]
 SHORT = "--set duration_s=0.1 --set team.count=1"
 """Before the reader's own options, so that those win."""
-PATIENCE_S = 100.0
+PATIENCE_S = 250.0
+"""Of one block; a dozen seconds where nothing else runs."""
 MY_SCENARIO = 'extends = "transport"\ndescription = "Mine."\n'
 """What README calls a scenario of your own."""
 
@@ -70,6 +71,7 @@ def page(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[list[Block], P
 
 
 @pytest.mark.system
+@pytest.mark.timeout(600)  # several blocks, each with patience for a busy machine
 @pytest.mark.parametrize("page", PAGES, indirect=True)
 def test_the_shell_blocks_of_the_page_run(page: tuple[list[Block], Path, dict[str, str]]) -> None:
     mine, folder, environment = page
