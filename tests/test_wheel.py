@@ -52,7 +52,7 @@ def test_the_wheel_says_what_it_is_and_what_it_needs(wheel: zipfile.ZipFile) -> 
     (name,) = (name for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
     told = Parser().parsestr(wheel.read(name).decode())
     assert (told["Name"], told["Version"], told["Requires-Python"]) == ("palanquin", PROJECT["version"], ">=3.11")
-    assert set(told.get_all("Provides-Extra") or []) == {"follower", "sim", "view", "all"}
+    assert set(told.get_all("Provides-Extra") or []) == set(PROJECT["optional-dependencies"])
     needed = told.get_all("Requires-Dist") or []
     for extra, library in (("follower", "pin"), ("sim", "mujoco"), ("view", "matplotlib")):
         assert any(line.startswith(library) and f'extra == "{extra}"' in line for line in needed)

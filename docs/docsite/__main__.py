@@ -41,7 +41,11 @@ def write_pages(into: Path, repository: Path = REPOSITORY) -> None:
         page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text(source_page(path, repository), encoding="utf-8")
     (made / "cli.md").write_text(command_line_page(repository), encoding="utf-8")
-    shutil.copytree(docs / "img", made / "img")
+    for beside in sorted(docs.iterdir()):  # pictures, and what a page offers to be taken along
+        if beside.is_dir() and beside != HERE:
+            shutil.copytree(beside, made / beside.name)
+        elif beside.is_file() and beside.suffix != ".md":
+            shutil.copy(beside, made)
     shutil.copy(HERE / "site.css", made)
     configuration = (HERE / CONFIGURATION).read_text(encoding="utf-8")
     navigation = as_toml(present(NAVIGATION, there))
