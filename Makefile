@@ -13,7 +13,7 @@ STAMP    := $(VENV)/installed
 LOCK     := requirements.lock
 LOCK_BOX := .lock-venv
 IMAGES   := follower sim
-TYPED    := wire agents sim_server deploy tests benchmarks
+TYPED    := wire agents sim_server deploy tests benchmarks docs/docsite
 SIDE_BY_SIDE := -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 PIP_INSTALL := -m pip --disable-pip-version-check --no-input install --progress-bar off --quiet
 
@@ -30,7 +30,7 @@ install: $(STAMP) ## set up .venv from requirements.lock (PYTHON=... chooses the
 .PHONY: python
 python:
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
-	  echo "Palanquin needs Python 3.11, and '$(PYTHON)' is not one: install it, or name it with 'make install PYTHON=/path/to/python3.11'." >&2; \
+	  echo "Palanquin needs Python 3.11 or newer, and '$(PYTHON)' is not one: install it, or name it with 'make install PYTHON=/path/to/python3.11'." >&2; \
 	  exit 1; }
 
 $(STAMP): pyproject.toml $(LOCK) | python
@@ -44,6 +44,10 @@ $(STAMP): pyproject.toml $(LOCK) | python
 .PHONY: demo
 demo: install ## a team of arms carries a load: palanquin run transport
 	@$(BIN)/palanquin run transport
+
+.PHONY: docs
+docs: install ## build the documentation site into build/docs/site; a broken link is an error
+	@PYTHONPATH=docs $(BIN)/python -m docsite --into build/docs
 
 .PHONY: lint
 lint: install ## ruff check, ruff format --check, mypy
@@ -73,6 +77,11 @@ images: ## build the images palanquin-follower and palanquin-sim (needs Docker; 
 test-containers: install images ## build the images, then test a carry in containers (needs Docker and Compose)
 	@echo "== pytest -m containers"
 	@$(BIN)/python -m pytest -m containers $(PYTEST_ARGS)
+
+# A minute or two and 1.5 GB, and it asks the package index: so it is no part of `make test`.
+.PHONY: wheel-check
+wheel-check: install ## build the wheel, install it into a new environment, and run a scenario there, outside the checkout
+	@$(BIN)/python tests/wheel_check.py
 
 # Keeps the versions already locked unless pyproject.toml asks otherwise; UPGRADE=--upgrade takes the newest.
 # An image installs one role of it, from a lock of its own: the same versions, without the rest.

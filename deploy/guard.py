@@ -39,8 +39,9 @@ def end_with_parent(on_end: Callable[[], None], *, even_if_stopped: bool) -> Non
     threading.Thread(target=watch, name="end with parent", daemon=True).start()
 
 
-class Interrupted(Exception):
-    """The user, or the system, asked the launcher to stop."""
+class Interrupted(BaseException):
+    """The user, or the system, asked the launcher to stop. Like KeyboardInterrupt no Exception: who expects that
+    anything may go wrong with somebody else's code does not mean this."""
 
     exit_status = 3
 

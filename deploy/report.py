@@ -85,10 +85,11 @@ def _numbers(progress: Progress) -> str:
 
 
 def plain_table(*columns: str, right: Collection[str] = (), show_header: bool = True) -> Table:
-    """A table without lines, with these columns; those named in ``right`` keep their figures to the right."""
+    """A table without lines, with these columns; those named in ``right`` keep their figures to the right. The names in
+    the first are whole on a narrow terminal too; what stands beside them goes on in further lines."""
     table = Table(box=None, pad_edge=False, header_style="bold", show_header=show_header)
     for column in columns:
-        table.add_column(column, justify="right" if column in right else "left")
+        table.add_column(column, justify="right" if column in right else "left", no_wrap=column == columns[0])
     return table
 
 

@@ -84,12 +84,18 @@ def photograph(model: Any, data: Any, lookat: Array, distance_m: float, size: tu
     Args:
         lookat: the point in its middle, (3,) m.
         size: width and height, pixels.
+
+    Raises:
+        RuntimeError, and what else MuJoCo raises: there is nothing to draw with.
     """
     camera = mujoco.MjvCamera()
     camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = lookat, distance_m, 125.0, -22.0
-    with mujoco.Renderer(model, size[1], size[0]) as renderer:
-        renderer.update_scene(data, camera)
-        picture: NDArray[np.uint8] = renderer.render().copy()
+    try:
+        with mujoco.Renderer(model, size[1], size[0]) as renderer:
+            renderer.update_scene(data, camera)
+            picture: NDArray[np.uint8] = renderer.render().copy()
+    except mujoco.FatalError as error:  # a window library without a screen to open a window on
+        raise RuntimeError(str(error)) from None
     return picture
 
 

@@ -62,7 +62,7 @@ def test_the_controller_of_the_page_holds_a_crate(folder: Path, monkeypatch: pyt
 
 @pytest.mark.system
 def test_the_commands_of_the_page_run_it_in_the_real_processes(folder: Path) -> None:
-    assert "    palanquin run carry.toml\n" in PAGE
+    assert "\npalanquin run carry.toml\n" in PAGE
     done = run_to_end("run", "carry.toml", "--out", "mine", "--set", "duration_s=1.0", cwd=folder)
     assert done.returncode in (0, 1), done.stdout + done.stderr
     run = json.loads((folder / "mine" / "run.json").read_text(encoding="utf-8"))
