@@ -22,6 +22,7 @@ from deploy.credentials_cli import credentials, router
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import end_with_parent, leave_on_signals, raise_on_signals, stop_on_signals, stop_or_exit
 from deploy.paper.commands import paper, verify
+from deploy.see.commands import plot, render, view
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -253,6 +254,8 @@ app.command()(credentials)
 app.command()(router)
 app.command()(paper)
 app.command()(verify)
+for verb in (view, render, plot):
+    app.command()(verb)
 
 
 @app.command()
@@ -273,19 +276,6 @@ def metrics(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run fo
     found, judged = compute_metrics(folder)
     write_json(folder / METRICS, found)
     print_metrics(Console(), found, judged)
-
-
-@app.command()
-def render(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
-    time_s: Annotated[float, typer.Option("--time-s", min=0.0, help="Simulated time of the moment.")] = 0.0,
-    out: Annotated[Path, typer.Option(help="The PNG.")] = Path("still.png"),
-) -> None:
-    """Draw a still of a run, rendered off-screen from its trace."""
-    from deploy.rendering import render_still
-
-    render_still(folder, time_s, out)
-    print(out)
 
 
 @app.command()

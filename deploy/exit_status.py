@@ -18,7 +18,15 @@ import typer
 BAD_INPUT, COULD_NOT_RUN = 2, 3
 OF_VERDICT = {"holds": 0, "violated": 1, "unknown": COULD_NOT_RUN}
 
-EXTRAS = {"mujoco": "sim", "pyarrow": "sim", "pinocchio": "follower", "matplotlib": "view", "rerun": "view"}
+EXTRAS = {
+    "mujoco": "sim",
+    "pyarrow": "sim",
+    "pinocchio": "follower",
+    "matplotlib": "view",
+    "rerun": "view",
+    "PIL": "view",
+    "av": "view",
+}
 """Which extra brings a module that a machine may lack."""
 
 

@@ -1,0 +1,64 @@
+"""``palanquin view``, ``render``, ``plot``: what can be seen of runs that have ended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+RunFolderPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
+
+
+def view(
+    folder: RunFolderPath,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the recording there; no viewer.")] = None,
+) -> None:
+    """Open a run in the Rerun viewer: its recording, or one that is made of its trace."""
+    from deploy.see.viewing import save_recording, view_run
+
+    if save is None:
+        view_run(folder)
+        return
+    save_recording(folder, save)
+    print(save)
+
+
+def render(
+    folder: RunFolderPath,
+    out: Annotated[
+        Path, typer.Option(help="A .png, .gif or .mp4, or a new folder for single pictures of a film.")
+    ] = Path("still.png"),
+    time_s: Annotated[float, typer.Option("--time-s", min=0.0, help="Moment of a still.")] = 0.0,
+    from_s: Annotated[float, typer.Option("--from-s", min=0.0, help="Where a film begins.")] = 0.0,
+    to_s: Annotated[
+        float | None, typer.Option("--to-s", min=0.0, help="Where it ends; with the run by default.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(min=0.1, max=120.0, help="Pictures a second of a film.")] = None,
+    speed: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Simulated time over the film's.")] = 1.0,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Pixels, at most 1280x720.")] = None,
+    marks: Annotated[bool, typer.Option("--marks/--no-marks", help="Draw the goal and the forces.")] = True,
+    caption: Annotated[bool, typer.Option("--caption/--no-caption", help="Write time and numbers below.")] = True,
+) -> None:
+    """Render a run off-screen from its trace: a still (PNG), a film (GIF, MP4), or the film's pictures."""
+    from deploy.see.rendering import Wanted, parse_size
+    from deploy.see.rendering import render as render_run
+
+    wanted = Wanted(time_s, from_s, to_s, fps, speed, parse_size(size), marks, caption)
+    render_run(folder, out, wanted)
+    print(out)
+
+
+def plot(
+    folders: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders; several are compared.")],
+    out: Annotated[Path, typer.Option(help="Folder for the figures; made if it is not there.")] = Path("plots"),
+    only: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="These questions only, such as goal,tilt; all by default.")
+    ] = None,
+    format_: Annotated[str, typer.Option("--format", help="png, svg or pdf.")] = "png",
+) -> None:
+    """Plot runs beside each other: a figure for each question."""
+    from deploy.see.plots import plot_runs
+
+    for file in plot_runs(folders, out, only, format_):
+        print(file)
