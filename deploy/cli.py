@@ -22,7 +22,9 @@ from deploy.credentials_cli import credentials, router
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import end_with_parent, leave_on_signals, raise_on_signals, stop_on_signals, stop_or_exit
 from deploy.paper.commands import paper, verify
-from deploy.see.commands import plot, render, view
+from deploy.see.commands import plot, render
+from deploy.see.commands import record as record_run
+from deploy.see.commands import view as view_run
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -73,12 +75,14 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed.")] = None,
     picture: Annotated[bool, typer.Option("--picture/--no-picture", help="Draw run.png.")] = True,
+    record: Annotated[bool, typer.Option("--record", help="Record run.rrd for the Rerun viewer.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show the run in the viewer while it goes on.")] = False,
     set_: Settings = None,
 ) -> None:
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from deploy.running import run_scenario
 
-    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture))
+    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture, record=record, view=view))
 
 
 @app.command()
@@ -254,8 +258,10 @@ app.command()(credentials)
 app.command()(router)
 app.command()(paper)
 app.command()(verify)
-for verb in (view, render, plot):
-    app.command()(verb)
+app.command(name="view")(view_run)
+app.command(name="record")(record_run)
+app.command()(render)
+app.command()(plot)
 
 
 @app.command()

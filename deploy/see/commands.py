@@ -24,6 +24,47 @@ def view(
     print(save)
 
 
+def record(
+    scenario: Annotated[str, typer.Argument(help="The scenario that the simulator was started with.")],
+    run: Annotated[str, typer.Option("--run", help="Name of the run.")],
+    connect: Annotated[str, typer.Option("--connect", help="Address of the simulator.")] = "tcp/127.0.0.1:7447",
+    credential: Annotated[
+        str | None, typer.Option("--credential", metavar="DIR", help="The observer's; - reads a line of stdin.")
+    ] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the recording there (.rrd).")] = None,
+    view_: Annotated[bool, typer.Option("--view", help="Show it in a viewer meanwhile.")] = False,
+    viewer: Annotated[str | None, typer.Option(metavar="URL", help="Show it in a viewer that is there.")] = None,
+    wait_s: Annotated[float, typer.Option("--wait-s", min=0.0, help="Wait so long for the simulator.")] = 10.0,
+    seed: Annotated[int | None, typer.Option(help="As the simulator was told.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Likewise.")] = None,
+    with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
+) -> None:
+    """Record a run while it goes on: an observer of its own, which the simulator does not wait for."""
+    from deploy.exit_status import BAD_INPUT, fail
+    from deploy.guard import end_with_parent, stop_on_signals
+    from deploy.links import own_credential
+    from deploy.see.recorder import Recorder, open_viewer
+    from deploy.see.recorder import record as record_run
+    from deploy.settings import scenario_changes
+    from sim_server.scenario_files import load_scenario
+    from wire.zenoh_link import open_client
+
+    if save is None and not view_ and viewer is None:
+        fail("where to? Give --save FILE, --view, or --viewer URL", BAD_INPUT)
+    if save is not None and not save.absolute().parent.is_dir():
+        fail(f"--save {save}: there is no folder {save.absolute().parent}", BAD_INPUT)
+    named = load_scenario(scenario, scenario_changes(seed, set_))
+    own = own_credential(credential, "observer")
+    address = open_viewer() if view_ else viewer
+    with open_client(connect, own) as link:
+        recorder = Recorder(link, run)
+        stop_on_signals(recorder.stop)
+        if with_parent:
+            end_with_parent(recorder.stop, even_if_stopped=False)
+        done = record_run(recorder, named, file=save, viewer=address, wait_s=wait_s)
+    print(f"{done.rows} rows recorded, {done.lost} lost, {done.refused} refused")
+
+
 def render(
     folder: RunFolderPath,
     out: Annotated[

@@ -38,6 +38,8 @@ STIFFNESS = Question("stiffness", "When do the arms stiffen?", "mean joint stiff
 TORQUE = Question("torque", "How near are the motors to their limits?", "largest torque of its limit", "%")
 PULL = Question("pull", "How hard does the leader pull?", "pull of the leader", "N")
 LATENCY = Question("latency", "How old are the commands?", "age of the command obeyed", "ticks")
+TICK = Question("tick", "How long does a tick take?", "wall time of a tick", "us")
+"""Only while a run goes on: no trace has wall times."""
 
 QUESTIONS = (GOAL, TILT, SAG, TURN, SHARE, INTERNAL, STIFFNESS, TORQUE, PULL, LATENCY)
 

@@ -22,7 +22,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deploy.see.curves import QUESTIONS, Array, Question
+from deploy.see.curves import QUESTIONS, TICK, Array, Question
 from deploy.see.happenings import Happening
 from sim_server.looks import Shape
 from sim_server.marks import (
@@ -65,6 +65,7 @@ class Recording:
     def __init__(self, name: str, *, file: Path | None = None, viewer: str | None = None) -> None:
         self._stream = rr.RecordingStream("palanquin")
         self._last: dict[str, Array] = {}
+        self._styled: set[str] = set()
         sinks: list[Any] = []
         if file is not None:
             sinks.append(rr.FileSink(str(file)))
@@ -74,9 +75,26 @@ class Recording:
         self._stream.send_recording_name(name)
 
     def scene(
-        self, shapes: Iterable[Shape], arms: Sequence[str], goal_m: Sequence[float] | None, size_m: Sequence[float]
+        self,
+        shapes: Iterable[Shape],
+        arms: Sequence[str],
+        goal_m: Sequence[float] | None,
+        size_m: Sequence[float],
+        *,
+        live: bool = False,
+        layout: bool = True,
     ) -> None:
-        """What does not change: the shapes of all bodies, the floor, the goal, colours, and the layout."""
+        """What does not change: the shapes of all bodies, the floor, the goal, colours, and how it is laid out.
+
+        Args:
+            shapes: of all bodies.
+            arms: names of all arms.
+            goal_m: (2,) m.
+            size_m: of the load, (3,) m.
+            live: with what only a run that goes on can tell.
+            layout: lay it out: not when robots have come to a viewer that somebody has arranged meanwhile.
+        """
+        questions = (*QUESTIONS, TICK) if live else QUESTIONS
         by_place = sorted(shapes, key=lambda shape: (shape.body, shape.kind))
         for (body, kind), group in groupby(by_place, key=lambda shape: (shape.body, shape.kind)):
             self._static(f"scene/{body}/{kind}", _solids(kind, list(group)))
@@ -90,14 +108,15 @@ class Recording:
                 fill_mode="solid",
             )
             self._static("scene/goal", disc)
-        for question in QUESTIONS:
+        for question in questions:
             for arm in arms:
                 self._static(f"plots/{question.key}/{arm}", _line(arm, eight_bit(arm_colour(arm))))
             for line in ("load", "leader"):
                 self._static(f"plots/{question.key}/{line}", _line(line, GREY))
         for agent in ("leader", *arms):
             self._static(f"agents/{agent}", rr.StateConfiguration(values=list(STATES), colors=list(STATES.values())))
-        self._stream.send_blueprint(_layout(goal_m or (0.0, 0.0), max(size_m)))
+        if layout:
+            self._stream.send_blueprint(_layout(goal_m or (0.0, 0.0), max(size_m), questions))
 
     def motion(self, bodies: Sequence[str], motion: Motion) -> None:
         """Where everything was, and the forces."""
@@ -117,25 +136,23 @@ class Recording:
             vectors = np.where(shown[:, None], ARROW_M_PER_N * each.force, 0.0)
             at = np.where(shown[:, None], each.at, AWAY_M)
             self._columns(f"forces/{name}", motion.time_s, rr.Arrows3D.columns(origins=at, vectors=vectors))
-            if name not in self._last:
-                self._last[name] = np.zeros(0)
-                style = rr.Arrows3D.from_fields(colors=[eight_bit(force_colour(name))], radii=[ARROW_RADIUS_M])
-                self._static(f"forces/{name}", style)
+            style = rr.Arrows3D.from_fields(colors=[eight_bit(force_colour(name))], radii=[ARROW_RADIUS_M])
+            self._once(f"forces/{name}", style)
         load = list(bodies).index("load")
         for name, p in {**motion.hands, "load": motion.p[:, load]}.items():
             self._path(name, motion.time_s, p)
 
     def _path(self, name: str, time_s: Array, p: Array) -> None:
         """One piece of a path for each row, from where the last ended; the layout shows all up to the present."""
-        last = self._last.get(f"path {name}", p[0])
+        last = self._last.get(name, p[0])
         starts = np.vstack([last[None], p[:-1]])
         known = ~np.isnan(starts[:, 0]) & ~np.isnan(p[:, 0])
-        self._last[f"path {name}"] = p[-1]
+        self._last[name] = p[-1]
         if not known.any():
             return
         pieces = np.stack([starts[known], p[known]], axis=1)
         colour = GREY if name == "load" else eight_bit(arm_colour(name))
-        self._static(f"paths/{name}", rr.LineStrips3D.from_fields(colors=[colour], radii=[PATH_RADIUS_M]))
+        self._once(f"paths/{name}", rr.LineStrips3D.from_fields(colors=[colour], radii=[PATH_RADIUS_M]))
         self._columns(f"paths/{name}", time_s[known], rr.LineStrips3D.columns(strips=pieces))
 
     def curves(self, time_s: Array, lines: Mapping[Question, Mapping[str, Array]]) -> None:
@@ -160,6 +177,11 @@ class Recording:
         """Write what is left. A viewer that does not take it is not waited for longer than a moment."""
         self._stream.flush(timeout_sec=5.0)
         self._stream.disconnect()
+
+    def _once(self, path: str, what: Any) -> None:
+        if path not in self._styled:
+            self._styled.add(path)
+            self._static(path, what)
 
     def _static(self, path: str, what: Any) -> None:
         self._stream.log(path, what, static=True)
@@ -207,7 +229,7 @@ def _box(half: Sequence[float], centre: Sequence[float], colour: Colour) -> Any:
     return rr.Boxes3D(half_sizes=[half], centers=[centre], colors=[eight_bit(colour)], fill_mode="solid")
 
 
-def _layout(goal_m: Sequence[float], size_m: float) -> Any:
+def _layout(goal_m: Sequence[float], size_m: float, questions: Sequence[Question]) -> Any:
     """The scene beside the plots, the events below."""
     middle = np.array([goal_m[0] / 2, goal_m[1] / 2, 0.4])
     away = 2.0 + 0.65 * float(np.hypot(goal_m[0], goal_m[1])) + 0.6 * size_m
@@ -232,7 +254,7 @@ def _layout(goal_m: Sequence[float], size_m: float) -> Any:
             name=f"{question.quantity[0].upper()}{question.quantity[1:]} [{question.unit}]",
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
         )
-        for question in QUESTIONS
+        for question in questions
     }
     first = rrb.Grid(*(plots[key] for key in FIRST_SHOWN), grid_columns=2, name="First")
     more = rrb.Grid(*(plot for key, plot in plots.items() if key not in FIRST_SHOWN), grid_columns=2, name="More")
