@@ -46,7 +46,7 @@ def test_a_still_shows_the_table_and_all_of_its_caption(run_folder: Path, tmp_pa
 
 
 @pytest.mark.system
-@pytest.mark.parametrize(("name", "frames"), [("film.gif", 5), ("film.mp4", 11), ("single", 11)])
+@pytest.mark.parametrize(("name", "frames"), [("film.gif", 6), ("film.mp4", 11), ("single", 11)])
 def test_a_film_has_a_picture_for_each_of_its_times(run_folder: Path, tmp_path: Path, name: str, frames: int) -> None:
     """0 to 0.495 s, slowed down: at 12.5 and at 25 pictures a second."""
     fps = [] if name.endswith("gif") else ["--fps", "25"]

@@ -176,7 +176,8 @@ def _write_mp4(file: Path, pictures: Iterator[Picture], rate_hz: float) -> None:
     with av.open(str(file), "w", format="mp4", options={"movflags": "faststart"}) as film:
         stream = film.add_stream("libx264", rate=round(rate_hz), options={"crf": "20", "preset": "medium"})
         stream.pix_fmt = "yuv420p"
-        for picture in pictures:
-            stream.height, stream.width = picture.shape[:2]
+        for number, picture in enumerate(pictures):
+            if number == 0:
+                stream.height, stream.width = picture.shape[:2]
             film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         film.mux(stream.encode(None))
