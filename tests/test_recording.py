@@ -77,6 +77,7 @@ def told() -> tuple[MujocoPlant, list[Row], dict[str, Array]]:
     rows = rows_of(plant, 600)
     for row in rows:
         listening.feed.row(row, 900_000, plant.world.arms)
+    listening.feed.close()
     return plant, listening.rows, trace_of(plant, rows)
 
 
@@ -241,5 +242,7 @@ def test_an_event_that_an_observer_is_told_is_the_line_of_the_events_file() -> N
     bus = Broker()
     heard: list[bytes] = []
     bus.link().subscribe(KEYS.events, heard.append)
-    TruthFeed(bus.link(), KEYS, Tallies()).event(12, 0.012, "lost", {"agent": "a1", "why": "gone"})
+    feed = TruthFeed(bus.link(), KEYS, Tallies())
+    feed.event(12, 0.012, "lost", {"agent": "a1", "why": "gone"})
+    feed.close()
     assert [decode(payload, Event) for payload in heard] == [Event(12, 0.012, "lost", '{"agent": "a1", "why": "gone"}')]

@@ -57,7 +57,7 @@ def record(
     own = own_credential(credential, "observer")
     address = open_viewer() if view_ else viewer
     with open_client(connect, own) as link:
-        recorder = Recorder(link, run)
+        recorder = Recorder(link, run, named.scenario.record.every_ticks)
         stop_on_signals(recorder.stop)
         if with_parent:
             end_with_parent(recorder.stop, even_if_stopped=False)

@@ -11,6 +11,7 @@ import subprocess
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -31,8 +32,10 @@ from wire.zenoh_link import free_endpoint
 
 M = TypeVar("M", Row, Event)
 
-BLOCK_S = 0.2
-"""Wall time between two blocks."""
+LOOK_S = 0.2
+"""Wall time between two looks at what has come."""
+FILE_ROWS, VIEWER_ROWS = 1000, 1
+"""Rows that a block has at least. A file of many small blocks is several times as large, and slow to open."""
 MOST_WAITING = 20_000
 """Rows that wait at most: 100 simulated seconds of the usual 200 a second."""
 YIELDS = 10
@@ -53,7 +56,7 @@ class Recorded:
 
     rows: int
     lost: int
-    """Rows that came while too many waited."""
+    """Rows that are missing between those that came."""
     refused: int
     """Messages that did not fit."""
 
@@ -64,21 +67,19 @@ class Recorder:
     Args:
         link: an observer's.
         run: name of the run.
+        every_ticks: ticks from one row to the next.
     """
 
-    def __init__(self, link: Link, run: str) -> None:
+    def __init__(self, link: Link, run: str, every_ticks: int) -> None:
+        self._every_ticks = every_ticks
         self._waiting: deque[bytes] = deque(maxlen=MOST_WAITING)
         self._events: deque[bytes] = deque()
-        self._came = self._written = self._refused = 0
+        self._refused = 0
         self._seen, self._over = threading.Event(), threading.Event()
         keys = Keys(run)
-        link.subscribe(keys.rows, self._take)
+        link.subscribe(keys.rows, self._waiting.append)
         link.subscribe(keys.events, self._events.append)
         link.watch_alive(keys.sim_alive, self._watch)
-
-    def _take(self, payload: bytes) -> None:
-        self._came += 1
-        self._waiting.append(payload)
 
     def _watch(self, is_alive: bool) -> None:
         if is_alive:
@@ -97,16 +98,32 @@ class Recorder:
                 "no simulator of this run shows a sign of life: start it with `palanquin sim`, or check --run"
             )
 
-    def run_to_end(self, live: LiveRun) -> Recorded:
-        """Record until the simulator has gone. Raises :class:`Unfitting`."""
+    def run_to_end(self, lives: Mapping[LiveRun, int]) -> Recorded:
+        """Record until the simulator has gone.
+
+        Args:
+            lives: where it goes, each with the rows that a block has there at least.
+
+        Raises:
+            Unfitting: the simulator runs something else.
+        """
+        pending: dict[LiveRun, list[Row]] = {live: [] for live in lives}
+        count, lost, last = 0, 0, None
         while True:
-            over = self._over.wait(BLOCK_S)
+            over = self._over.wait(LOOK_S)
             rows, events = self._drain(self._waiting, Row), self._drain(self._events, Event)
-            live.rows(rows)
-            live.events(events)
-            self._written += len(rows)
+            for live, least in lives.items():
+                pending[live] += rows
+                if pending[live] and (over or len(pending[live]) >= least):
+                    live.rows(pending[live])
+                    pending[live] = []
+                live.events(events)
+            for row in rows:
+                lost += 0 if last is None else max(0, (row.tick - last) // self._every_ticks - 1)
+                last = row.tick
+            count += len(rows)
             if over:
-                return Recorded(self._written, self._came - self._written - self._refused, self._refused)
+                return Recorded(count, lost, self._refused)
 
     def _drain(self, waiting: deque[bytes], wanted: type[M]) -> list[M]:
         found: list[M] = []
@@ -137,13 +154,19 @@ def record(
     recorder.wait_for_simulator(wait_s)
     os.nice(YIELDS)
     part = file.with_name(f"{file.name}.part") if file is not None else None
-    recording = Recording(f"{named.name}, seed {named.scenario.seed}", file=part, viewer=viewer)
-    live = LiveRun(named.scenario, recording)
+    places: list[tuple[Path | None, str | None, int]] = [(part, None, FILE_ROWS)] if part is not None else []
+    places += [(None, viewer, VIEWER_ROWS)] if viewer is not None else []
+    name = f"{named.name}, seed {named.scenario.seed}"
+    recordings = [Recording(name, file=to_file, viewer=to_viewer) for to_file, to_viewer, _ in places]
+    lives = {
+        LiveRun(named.scenario, recording): least for recording, (_, _, least) in zip(recordings, places, strict=True)
+    }
     print(RECORDING_NOW, flush=True)
     try:
-        return recorder.run_to_end(live)
+        return recorder.run_to_end(lives)
     finally:
-        recording.close()
+        for recording in recordings:
+            recording.close()
         if part is not None and file is not None:
             os.replace(part, file)
 

@@ -17,6 +17,8 @@ from PIL import Image
 from deploy.exit_status import BAD_INPUT, fail
 from deploy.see.caption import write_caption
 from deploy.see.curves import GOAL, LOAD, TILT, Start, curves
+from sim_server.marks import GOAL_COLOUR, PUSH_COLOUR, eight_bit
+from sim_server.robots import ACCENTS
 
 HEADLESS = "egl"
 """What renders without a screen where nothing else is asked for."""
@@ -25,7 +27,10 @@ SIZES = {STILL: (1280, 720), MP4: (1280, 720), SEQUENCE: (1280, 720), GIF: (640,
 """What each kind of file has by default, pixels."""
 RATES = {MP4: 30.0, SEQUENCE: 30.0, GIF: 12.5}
 MOST_FRAMES = 20_000
-GIF_COLOURS = 128
+GIF_COLOURS = 160
+"""Colours of a GIF for what is most of its pictures; the marks have some more for themselves."""
+SHADES = (0.45, 0.65, 0.85, 1.0, 1.15)
+"""A mark's brightness in shade and light."""
 GIF_UNITS_PER_S = 100
 """A GIF counts the time of a picture in hundredths."""
 
@@ -157,7 +162,15 @@ def _write_gif(file: Path, pictures: Iterator[Picture], rate_hz: float) -> None:
     """One palette for all pictures and no dithering, so that what stands still costs nothing."""
     images = [Image.fromarray(picture) for picture in pictures]
     sample = np.hstack([np.asarray(images[k]) for k in {0, len(images) // 2, len(images) - 1}])
-    palette = Image.fromarray(sample).quantize(GIF_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    most = Image.fromarray(sample).quantize(GIF_COLOURS, dither=Image.Dither.NONE).getpalette() or []
+    marks = [
+        min(255, round(shade * part))
+        for colour in (*ACCENTS, GOAL_COLOUR, PUSH_COLOUR)
+        for shade in SHADES
+        for part in eight_bit(colour)
+    ]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(most[: 3 * GIF_COLOURS] + marks)
     reduced = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     reduced[0].save(
         file,
