@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from message_strategies import SLOW_MACHINE
 from plants import QUIET, plant_of, scenario
 from recorded import GRAVITY, Array, rows_of, trace_of
 
@@ -68,7 +67,6 @@ def test_a_robot_that_is_not_there_has_no_place_and_no_force(seen: tuple[MujocoP
     assert playback.absent(without, 0) == ["a3"]
 
 
-@settings(**SLOW_MACHINE)
 @given(
     cut=st.integers(0, 400),
     step_ms=st.sampled_from([1, 4, 5, 20, 40]),

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from message_strategies import SLOW_MACHINE
 from plants import QUIET, plant_of, scenario
 from processes import read_json, run_to_end
 from recorded import Array, rows_of, trace_of
@@ -22,6 +21,7 @@ from deploy.see.replay import CURVES_HZ, SCENE_HZ
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.playback import Motion, Playback, thinned
 from sim_server.tally import Tallies
+from sim_server.trace import columns
 from sim_server.truth import TruthFeed
 from wire.codec import decode
 from wire.keys import Keys
@@ -91,7 +91,7 @@ def test_a_row_is_encoded_only_while_somebody_listens(told: tuple[MujocoPlant, l
     assert len(rows) == 120
 
 
-@settings(max_examples=10, **SLOW_MACHINE)
+@settings(max_examples=10)
 @given(cuts=st.lists(st.integers(0, 120), max_size=4).map(sorted))
 def test_what_comes_in_live_is_recorded_as_what_is_replayed(
     told: tuple[MujocoPlant, list[Row], dict[str, Array]], cuts: list[int]
@@ -132,9 +132,9 @@ def test_rows_of_another_scenario_are_refused_with_what_to_do(
 ) -> None:
     plant, rows, _ = told
     short = Row(0, 1, rows[0].arms, rows[0].struts, rows[0].values[:-8])
-    with pytest.raises(
-        Unfitting, match="rows of 245 numbers came, expected 246 of 4 arms panda: record with the scenario"
-    ):
+    width = sum(columns(rows[0].arms.split(), 7).values()) - 2
+    said = f"rows of {width - 1} numbers came, expected {width} of 4 arms panda: record with the scenario"
+    with pytest.raises(Unfitting, match=said):
         LiveRun(plant.world.scenario, Kept()).rows([short])
 
 
