@@ -77,12 +77,13 @@ def run(
     picture: Annotated[bool, typer.Option("--picture/--no-picture", help="Draw run.png.")] = True,
     record: Annotated[bool, typer.Option("--record", help="Record run.rrd for the Rerun viewer.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the run in the viewer while it goes on.")] = False,
+    viewer: Annotated[str | None, typer.Option(metavar="URL", help="Show it in a viewer that is there.")] = None,
     set_: Settings = None,
 ) -> None:
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from deploy.running import run_scenario
 
-    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture, record=record, view=view))
+    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer))
 
 
 @app.command()

@@ -37,6 +37,7 @@ def run_scenario(
     picture: bool = True,
     record: bool = False,
     view: bool = False,
+    viewer: str | None = None,
 ) -> int:
     """Launch it, show its progress, print what it left; the exit status.
 
@@ -48,6 +49,7 @@ def run_scenario(
         picture: draw one of what it left.
         record: have an observer record it into its folder.
         view: have it shown in a viewer.
+        viewer: have it shown in the one at this address.
     """
     arguments = ["--seed", str(seed)] if seed is not None else []
     for setting in settings or []:
@@ -57,7 +59,7 @@ def run_scenario(
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
     _check_controller(named)
     check_world(named)
-    if record or view:
+    if record or view or viewer:
         _check_recorder(view)
     folder = (out or default_folder(Path("runs"), named.name)).absolute()
     console = PatientConsole()
@@ -65,6 +67,7 @@ def run_scenario(
     # The run's name is told to the followers; a scenario's name may say what no follower may know.
     guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR, Role.OBSERVER])
     recorder = [*(["--save", str(folder / RECORDING)] if record else []), *(["--view"] if view else [])]
+    recorder += ["--viewer", viewer] if viewer else []
     launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests, recorder)
     problem = ""
     try:
