@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -40,7 +42,7 @@ def record(
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Record a run while it goes on: an observer of its own, which the simulator does not wait for."""
-    from deploy.exit_status import BAD_INPUT, fail
+    from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, fail
     from deploy.guard import end_with_parent, stop_on_signals
     from deploy.links import own_credential
     from deploy.see.recorder import Recorder, open_viewer
@@ -62,7 +64,10 @@ def record(
         if with_parent:
             end_with_parent(recorder.stop, even_if_stopped=False)
         done = record_run(recorder, named, file=save, viewer=address, wait_s=wait_s)
-    print(f"{done.rows} rows recorded, {done.lost} lost, {done.refused} refused")
+    print(f"{done.rows} rows recorded, {done.lost} lost, {done.refused} refused", flush=True)
+    if done.viewer_hangs:
+        print("palanquin: the viewer did not take all of it: it is gone, or hangs", file=sys.stderr, flush=True)
+        os._exit(COULD_NOT_RUN)
 
 
 def render(

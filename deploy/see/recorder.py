@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -59,6 +59,8 @@ class Recorded:
     """Rows that are missing between those that came."""
     refused: int
     """Messages that did not fit."""
+    viewer_hangs: bool = False
+    """It did not take all: leave the process at once."""
 
 
 class Recorder:
@@ -162,13 +164,15 @@ def record(
         LiveRun(named.scenario, recording): least for recording, (_, _, least) in zip(recordings, places, strict=True)
     }
     print(RECORDING_NOW, flush=True)
+    done, taken = Recorded(0, 0, 0), True
     try:
-        return recorder.run_to_end(lives)
+        done = recorder.run_to_end(lives)
     finally:
-        for recording in recordings:
-            recording.close()
-        if part is not None and file is not None:
-            os.replace(part, file)
+        for recording in recordings:  # the file is the first
+            taken = recording.close() and taken
+            if part is not None and file is not None and part.exists():
+                os.replace(part, file)
+    return replace(done, viewer_hangs=not taken)
 
 
 def open_viewer() -> str:

@@ -47,6 +47,8 @@ PATH_RADIUS_M, ARROW_RADIUS_M = 0.006, 0.012
 AWAY_M = (0.0, 0.0, -100.0)
 """Where a robot is drawn that is not there: nowhere."""
 STATES = {"in": (0, 158, 115), "leaving": (86, 180, 233), "left": (110, 110, 110), "lost": (213, 94, 0)}
+FAREWELL_S = 5.0
+"""Wall time that a viewer gets to take what is left."""
 MOST_PATHS = 32
 """Arms whose paths are drawn: those that come while a run goes on are not known when it begins."""
 FIRST_SHOWN = ("goal", "tilt", "sag", "share", "stiffness", "torque")
@@ -66,6 +68,7 @@ class Recording:
         self._stream = rr.RecordingStream("palanquin")
         self._last: dict[str, Array] = {}
         self._styled: set[str] = set()
+        self._has_viewer = viewer is not None
         sinks: list[Any] = []
         if file is not None:
             sinks.append(rr.FileSink(str(file)))
@@ -173,10 +176,22 @@ class Recording:
             self._stream.log(f"agents/{happening.agent}", rr.StateChange(state=happening.state))
         self._stream.reset_time()
 
-    def close(self) -> None:
-        """Write what is left. A viewer that does not take it is not waited for longer than a moment."""
-        self._stream.flush(timeout_sec=5.0)
+    def close(self) -> bool:
+        """Write what is left; whether all of it was taken. A viewer that takes nothing more is not waited for longer
+        than a moment: then leave the process without ceremony, for Rerun's own farewell would wait for ever.
+
+        Raises:
+            RuntimeError: a file could not be written.
+        """
+        if not self._has_viewer:
+            self._stream.flush()
+        else:
+            try:
+                self._stream.flush(timeout_sec=FAREWELL_S)
+            except RuntimeError:
+                return False
         self._stream.disconnect()
+        return True
 
     def _once(self, path: str, what: Any) -> None:
         if path not in self._styled:
