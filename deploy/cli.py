@@ -22,6 +22,9 @@ from deploy.credentials_cli import credentials, router
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import end_with_parent, leave_on_signals, raise_on_signals, stop_on_signals, stop_or_exit
 from deploy.paper.commands import paper, verify
+from deploy.see.commands import plot, render
+from deploy.see.commands import record as record_run
+from deploy.see.commands import view as view_run
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -72,12 +75,15 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed.")] = None,
     picture: Annotated[bool, typer.Option("--picture/--no-picture", help="Draw run.png.")] = True,
+    record: Annotated[bool, typer.Option("--record", help="Record run.rrd for the Rerun viewer.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show the run in the viewer while it goes on.")] = False,
+    viewer: Annotated[str | None, typer.Option(metavar="URL", help="Show it in a viewer that is there.")] = None,
     set_: Settings = None,
 ) -> None:
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from deploy.running import run_scenario
 
-    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture))
+    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer))
 
 
 @app.command()
@@ -253,6 +259,10 @@ app.command()(credentials)
 app.command()(router)
 app.command()(paper)
 app.command()(verify)
+app.command(name="view")(view_run)
+app.command(name="record")(record_run)
+app.command()(render)
+app.command()(plot)
 
 
 @app.command()
@@ -273,19 +283,6 @@ def metrics(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run fo
     found, judged = compute_metrics(folder)
     write_json(folder / METRICS, found)
     print_metrics(Console(), found, judged)
-
-
-@app.command()
-def render(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
-    time_s: Annotated[float, typer.Option("--time-s", min=0.0, help="Simulated time of the moment.")] = 0.0,
-    out: Annotated[Path, typer.Option(help="The PNG.")] = Path("still.png"),
-) -> None:
-    """Draw a still of a run, rendered off-screen from its trace."""
-    from deploy.rendering import render_still
-
-    render_still(folder, time_s, out)
-    print(out)
 
 
 @app.command()

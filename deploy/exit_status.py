@@ -24,7 +24,7 @@ OF_VERDICT = {"holds": 0, "violated": 1, "unknown": COULD_NOT_RUN}
 EXTRAS = {
     **{"mujoco": "sim", "pyarrow": "sim", "sim_server": "sim"},  # a follower's image has not even our own package
     "pinocchio": "follower",
-    **{"matplotlib": "view", "rerun": "view"},
+    **{"matplotlib": "view", "rerun": "view", "PIL": "view", "av": "view"},
 }
 """Which extra brings a module that a machine may lack."""
 

@@ -36,6 +36,11 @@ STOP_S = 15.0
 TERM_S = 3.0
 """Time that a process gets between the polite signal and the last one."""
 
+RECORDER, RECORDING_NOW = "recorder", "recording"
+"""Name of the observer that records, and the line that it says when it would miss nothing."""
+RECORDED_S = 60.0
+"""Time that it gets to write what is left."""
+
 SPARE_NAMES = 16
 """Robots that may come in a run without being foreseen."""
 
@@ -58,6 +63,10 @@ class Child:
         lines = [line.strip() for line in self.log.read_text(encoding="utf-8", errors="replace").splitlines()]
         return next((line for line in reversed(lines) if line), "its log is empty")
 
+    def has_said(self, line: str) -> bool:
+        """Whether a line of its log is just that."""
+        return line in self.log.read_text(encoding="utf-8", errors="replace").splitlines()
+
 
 @dataclass(frozen=True, slots=True)
 class Ended:
@@ -78,6 +87,7 @@ class Launcher:
         folder: the run folder.
         guests: credentials of everybody. Each process is handed its own over its standard input, so that none of
             them ever is in a file, an argument or an environment that others could read.
+        recorder: where an observer records to, as ``palanquin record`` is told; without, there is none.
     """
 
     def __init__(
@@ -88,9 +98,11 @@ class Launcher:
         endpoint: str,
         folder: Path,
         guests: Guests,
+        recorder: Sequence[str] = (),
     ) -> None:
         self._scenario_arguments, self._scenario = scenario_arguments, scenario
         self._run, self._endpoint, self._folder, self._guests = run, endpoint, folder, guests
+        self._recorder_arguments = list(recorder)
         self._children: list[Child] = []
         self._agents: dict[str, list[str]] = {}
         self._logs = folder / LOGS
@@ -105,6 +117,8 @@ class Launcher:
         access, secret = self._sim_access()
         self._spawn("sim", ["sim", *common, *place, *access, *self._scenario_arguments], secret)
         self.wait_until_listening()
+        if self._recorder_arguments:
+            self._start_recorder(common)
         follower = follower_arguments(self._scenario)
         agents = {name: ["follower", "--arm", name, *follower] for name in everybody(self._scenario)}
         if self._scenario.leader is not None:
@@ -115,6 +129,26 @@ class Launcher:
             if name not in self._scenario.arms and name != Role.LEADER:
                 continue  # it comes later
             self._start_agent(str(name))
+
+    def _start_recorder(self, common: Sequence[str]) -> None:
+        """Start it and wait until it would miss nothing, or has ended."""
+        where = [*self._recorder_arguments, "--connect", self._endpoint, "--credential", STDIN]
+        secret = credential_line(self._guests.of(Role.OBSERVER))
+        self._spawn(RECORDER, ["record", *common, *where, *self._scenario_arguments], secret)
+        child = self._children[-1]
+        while self.sim.process.poll() is None and child.process.poll() is None and not child.has_said(RECORDING_NOW):
+            time.sleep(POLL_S)
+
+    def wait_for_recorder(self) -> str:
+        """Until the recording is written, some time after the simulator has ended; what went wrong, if anything did."""
+        child = next((each for each in self._children if each.name == RECORDER), None)
+        if child is None:
+            return ""
+        try:
+            status = child.process.wait(RECORDED_S)
+        except subprocess.TimeoutExpired:
+            return f"the recorder has not ended {RECORDED_S:g} s after the simulator"
+        return f"the recorder: {child.last_words()}" if status else ""
 
     def _start_agent(self, name: str) -> None:
         """Start an agent's process, for the first time or again: with the same credential, in a room of its own."""

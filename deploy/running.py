@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from deploy.exit_status import COULD_NOT_RUN, fail
 from deploy.guard import Interrupted
 from deploy.launcher import Launcher, everybody
 from deploy.report import PatientConsole, print_metrics, progress_display
+from deploy.see.viewing import RECORDING, viewer_command
 from deploy.settings import scenario_changes
 from sim_server.errors import ScenarioError
 from sim_server.run_folder import METRICS, compute_metrics
@@ -27,7 +29,15 @@ from wire.zenoh_link import free_endpoint, open_client
 
 
 def run_scenario(
-    scenario: str, out: Path | None, seed: int | None, settings: Sequence[str] | None, *, picture: bool = True
+    scenario: str,
+    out: Path | None,
+    seed: int | None,
+    settings: Sequence[str] | None,
+    *,
+    picture: bool = True,
+    record: bool = False,
+    view: bool = False,
+    viewer: str | None = None,
 ) -> int:
     """Launch it, show its progress, print what it left; the exit status.
 
@@ -37,6 +47,9 @@ def run_scenario(
         seed: another seed.
         settings: values to change, each ``KEY=VALUE``.
         picture: draw one of what it left.
+        record: have an observer record it into its folder.
+        view: have it shown in a viewer.
+        viewer: have it shown in the one at this address.
     """
     arguments = ["--seed", str(seed)] if seed is not None else []
     for setting in settings or []:
@@ -46,12 +59,16 @@ def run_scenario(
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
     _check_controller(named)
     check_world(named)
+    if record or view or viewer:
+        _check_recorder(view)
     folder = (out or default_folder(Path("runs"), named.name)).absolute()
     console = PatientConsole()
     endpoint = free_endpoint()
     # The run's name is told to the followers; a scenario's name may say what no follower may know.
-    guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR])
-    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests)
+    guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR, Role.OBSERVER])
+    recorder = [*(["--save", str(folder / RECORDING)] if record else []), *(["--view"] if view else [])]
+    recorder += ["--viewer", viewer] if viewer else []
+    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests, recorder)
     problem = ""
     try:
         launcher.start()
@@ -62,13 +79,21 @@ def run_scenario(
                 ended = launcher.watch(link, show)
                 if launcher.sim.process.poll() is None:
                     launcher.order_stop(link)
-                status, problem = ended.status, ended.problem
+                status, problem = ended.status, ended.problem or launcher.wait_for_recorder()
             except Interrupted as interrupted:
                 launcher.order_stop(link)
+                launcher.wait_for_recorder()
                 status, problem = COULD_NOT_RUN, str(interrupted)
     finally:
         launcher.end_all()
     return _conclude(console, folder, status, problem, picture=picture)
+
+
+def _check_recorder(view: bool) -> None:
+    """See that there is what records, and who shows it, before anything starts."""
+    importlib.import_module("deploy.see.recorder")
+    if view:
+        viewer_command()
 
 
 def _check_controller(named: NamedScenario) -> None:

@@ -67,7 +67,7 @@ class Auditor:
         self._agents: list[str] = []
         self._owner: dict[str, str] = {}
         self._names: dict[str, str] = {}
-        self._others = (keys.progress, keys.order)
+        self._others = (keys.progress, keys.rows, keys.events, keys.order)
         for name, its in agents.items():
             self.expect(name, its)
         self.connections = connections

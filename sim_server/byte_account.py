@@ -80,7 +80,7 @@ def account(connections: Connections, names: Mapping[str, set[str]], lives: Mapp
             who = max(fits, key=lambda name: each.brought(name))
             left[who] -= 1
             _hold(result, each, who, "gone; its bytes", connections)
-        elif each.carried.sent > most:
+        elif each.carried.sent > max(most, each.explained(OBSERVERS, overhead)):
             result.violations.append(
                 f"a connection from {each.carried.peer} carried {each.carried.sent:,} bytes, more than the messages to "
                 f"any one agent explain ({most:,})"

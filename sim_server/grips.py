@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 
 from sim_server.layout import Array
+from sim_server.scene import constraint_columns
 from sim_server.world import World
 
 WELD_ROWS = 6
@@ -28,7 +28,7 @@ def grip_wrenches(world: World) -> Array:
     if not rows:
         return wrenches
     assert rows % WELD_ROWS == 0, rows
-    by_row = _load_jacobian(world)[:rows] * data.efc_force[:rows, None]
+    by_row = constraint_columns(world.model, data, world.load_dof)[:rows] * data.efc_force[:rows, None]
     held = {int(weld): k for k, weld in enumerate(data.efc_id[:rows:WELD_ROWS])}
     on_load = by_row.reshape(-1, WELD_ROWS, 6).sum(axis=1)
     holding = [(row, held[ids.weld], ids.grasp_site) for row, ids in enumerate(arms) if ids.weld in held]
@@ -39,21 +39,6 @@ def grip_wrenches(world: World) -> Array:
     wrenches[places, :3] = force
     wrenches[places, 3:] = on_load[welds, 3:] @ R_WO.T - _cross(lever, force)
     return wrenches
-
-
-def _load_jacobian(world: World) -> Array:
-    """Columns of the constraint Jacobian at the load's free joint, (nefc, 6).
-
-    Six products with a unit vector: right for dense and sparse Jacobians, and as cheap for 16 arms as for one.
-    """
-    model, data = world.model, world.data
-    columns = np.zeros((6, data.nefc))
-    unit = np.zeros(model.nv)
-    for k, dof in enumerate(range(world.load_dof.start, world.load_dof.stop)):
-        unit[dof] = 1.0
-        mujoco.mj_mulJacVec(model, data, columns[k], unit)
-        unit[dof] = 0.0
-    return columns.T
 
 
 def _cross(a: Array, b: Array) -> Array:

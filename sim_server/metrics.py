@@ -67,6 +67,18 @@ class TraceFacts:
     torque_max_Nm: tuple[float, ...]
 
 
+def trace_facts(facts: Mapping[str, Any]) -> TraceFacts:
+    """The facts of a run.json. Raises :class:`LookupError` or :class:`TypeError` for what is none."""
+    return TraceFacts(
+        arms=tuple(facts["arms"]),
+        goal_m=facts["goal_m"] and tuple(facts["goal_m"]),
+        load_mass_kg=facts["load_mass_kg"],
+        centre_of_mass_m=tuple(facts["centre_of_mass_m"]),
+        grasps_m=facts["grasps_m"],
+        torque_max_Nm=tuple(facts["torque_max_Nm"]),
+    )
+
+
 def physical_metrics(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
     """All metrics that the trace holds. A metric that does not apply (no goal, no leader) is None.
 
@@ -160,6 +172,18 @@ def _internal_of_those_who_hold(grips: Array, holds: Array, arms_W: Array) -> Ar
     return internal
 
 
+def hand_forces(trace: Mapping[str, Array], facts: TraceFacts) -> tuple[Array, Array, Array]:
+    """What the hands exert on the load: the wrenches [f; t], (rows, N, 6), zero for who does not hold; whether the
+    robot was there, (rows, N); and the part of the wrenches that moves nothing, (rows, N, 6)."""
+    R_WO = rotation_matrices(trace["load.quat_wxyz"])
+    arms_O = np.array([facts.grasps_m[arm] for arm in facts.arms]) - np.array(facts.centre_of_mass_m)
+    grips = np.stack([trace[f"{arm}.grip"] for arm in facts.arms], axis=1)
+    here = np.isfinite(grips).all(axis=2)
+    grips = np.where(here[:, :, None], grips, 0.0)
+    holds = (grips != 0.0).any(axis=2)
+    return grips, here, _internal_of_those_who_hold(grips, holds, np.einsum("tij,nj->tni", R_WO, arms_O))
+
+
 def _path(time_s: Array, position: Array, velocity: Array, goal_m: Sequence[float] | None) -> Metrics:
     steps = np.diff(position[:, :2], axis=0)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
@@ -204,14 +228,8 @@ def _attitude(position: Array, quat: Array) -> Metrics:
 
 
 def _forces(trace: Mapping[str, Array], facts: TraceFacts) -> Metrics:
-    R_WO = rotation_matrices(trace["load.quat_wxyz"])
-    centre = np.array(facts.centre_of_mass_m)
-    arms_O = np.array([facts.grasps_m[arm] for arm in facts.arms]) - centre
-    grips = np.stack([trace[f"{arm}.grip"] for arm in facts.arms], axis=1)
-    here = np.isfinite(grips).all(axis=2)  # (rows, N): this robot was there
-    grips = np.where(here[:, :, None], grips, 0.0)
+    grips, here, internal = hand_forces(trace, facts)
     holds = (grips != 0.0).any(axis=2)
-    internal = _internal_of_those_who_hold(grips, holds, np.einsum("tij,nj->tni", R_WO, arms_O))
     weight = facts.load_mass_kg * GRAVITY_M_S2
     pull = np.linalg.norm(trace["leader.force"], axis=1)
     led = facts.goal_m is not None

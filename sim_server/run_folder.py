@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TextIO, get_args
 
 from sim_server.errors import SimError
-from sim_server.metrics import TraceFacts, physical_metrics
+from sim_server.metrics import physical_metrics, trace_facts
 from sim_server.scenario import Bound
 from sim_server.trace import read_trace
 from sim_server.verdict import Judged, Verdict, judge, overall
@@ -194,21 +194,8 @@ def compute_metrics(path: Path) -> tuple[dict[str, Any], tuple[Judged, ...]]:
     """
     run = read_run(path)
     try:
-        facts = run["facts"]
         expect = {name: Bound.model_validate(bound) for name, bound in run["scenario"]["expect"].items()}
-        metrics: dict[str, Any] = dict(
-            physical_metrics(
-                read_trace(path / TRACE),
-                TraceFacts(
-                    arms=tuple(facts["arms"]),
-                    goal_m=facts["goal_m"] and tuple(facts["goal_m"]),
-                    load_mass_kg=facts["load_mass_kg"],
-                    centre_of_mass_m=tuple(facts["centre_of_mass_m"]),
-                    grasps_m=facts["grasps_m"],
-                    torque_max_Nm=tuple(facts["torque_max_Nm"]),
-                ),
-            )
-        )
+        metrics: dict[str, Any] = dict(physical_metrics(read_trace(path / TRACE), trace_facts(run["facts"])))
         metrics |= {name: value for name, value in run["measured"].items() if name not in metrics}
         completed = bool(run["ended"]["completed"])
     # An edited or cut-off folder can fail in any of these ways; each means the same.

@@ -12,7 +12,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from sim_server.differences import JOINTS, ArmDifferences
 from sim_server.layout import Array, Pose
@@ -76,27 +75,6 @@ def read_model(path: Path) -> Any:
 def refresh(model: Any, data: Any) -> None:
     """Everything that follows from positions, velocities and forces: nothing moves, nothing is integrated."""
     mujoco.mj_forward(model, data)
-
-
-def photograph(model: Any, data: Any, lookat: Array, distance_m: float, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture of the world from the front left and above, (height, width, 3). Needs a library for off-screen OpenGL.
-
-    Args:
-        lookat: the point in its middle, (3,) m.
-        size: width and height, pixels.
-
-    Raises:
-        RuntimeError, and what else MuJoCo raises: there is nothing to draw with.
-    """
-    camera = mujoco.MjvCamera()
-    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = lookat, distance_m, 125.0, -22.0
-    try:
-        with mujoco.Renderer(model, size[1], size[0]) as renderer:
-            renderer.update_scene(data, camera)
-            picture: NDArray[np.uint8] = renderer.render().copy()
-    except mujoco.FatalError as error:  # a window library without a screen to open a window on
-        raise RuntimeError(str(error)) from None
-    return picture
 
 
 def tool_pose(arm: str, q: Array) -> Pose:
@@ -274,6 +252,20 @@ def site_jacobian(model: Any, data: Any, site: int) -> Array:
     J = np.zeros((6, model.nv))
     mujoco.mj_jacSite(model, data, J[:3], J[3:], site)
     return J
+
+
+def constraint_columns(model: Any, data: Any, dofs: slice) -> Array:
+    """Columns of the constraint Jacobian at some degrees of freedom, (nefc, n).
+
+    A product with a unit vector each: right for dense and sparse Jacobians, and as cheap for 16 arms as for one.
+    """
+    columns = np.zeros((dofs.stop - dofs.start, data.nefc))
+    unit = np.zeros(model.nv)
+    for k, dof in enumerate(range(dofs.start, dofs.stop)):
+        unit[dof] = 1.0
+        mujoco.mj_mulJacVec(model, data, columns[k], unit)
+        unit[dof] = 0.0
+    return columns.T
 
 
 def rotation(data: Any, site: int) -> Array:

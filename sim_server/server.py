@@ -35,6 +35,7 @@ from sim_server.scenario_files import NamedScenario
 from sim_server.tally import OBSERVERS, OPERATOR, CountedPublisher, Tallies
 from sim_server.trace import TraceWriter
 from sim_server.trace_rows import Segment
+from sim_server.truth import TruthFeed
 from sim_server.verdict import Verdict
 from sim_server.world import World, build_world
 from wire.arms import arm_digest
@@ -108,6 +109,7 @@ class Server:
             with checkpoint.taking_back():
                 tallies.restore(checkpoint.content["tallies"])
         connections = connections_of(listening, tallies)
+        self._truth = TruthFeed(link, keys, tallies)
         self._reception = Reception(link, keys, self._invitations(), self._report, tallies)
         seen = self._reception.tallies.of(OBSERVERS, keys.progress, "to")
         self._progress = CountedPublisher(link.publisher(keys.progress), seen)
@@ -203,6 +205,7 @@ class Server:
 
     def _report(self, kind: str, **details: object) -> None:
         self._folder.event(self._plant.tick, self._plant.time_s, kind, **details)
+        self._truth.event(self._plant.tick, self._plant.time_s, kind, details)
         log.info("%s %s", kind, details)
 
     def stop(self) -> None:
@@ -270,7 +273,9 @@ class Server:
                 plant.step()
                 stepped = time.perf_counter_ns()
                 if before is not None:
-                    trace.append(plant.force_row(before))
+                    row = plant.force_row(before)
+                    trace.append(row)
+                    self._truth.row(row, sum(clock.timings.begun) + stepped - stepping, plant.world.arms)
                 if time.monotonic() - self._last_progress > PROGRESS_S:
                     self._publish_progress("running", "")
                 clock.timings.end_tick(stepped - stepping, time.perf_counter_ns() - stepped)
@@ -305,6 +310,7 @@ class Server:
             metrics, _ = compute_metrics(folder)
             write_json(folder / METRICS, metrics)
             verdict = metrics["verdict"]
+        self._truth.close()
         # All else is on the disk, and the agents wait for the next tick or the end: nobody comes, goes or declares, if
         # all behave. If one does not, and the look hangs, this file alone says less.
         self._auditor.look()

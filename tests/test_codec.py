@@ -37,6 +37,9 @@ LONGEST_TEXT = {
     ("refusal", "text"): 1000,
     ("end", "reason"): 1000,
     ("progress", "waiting_for"): 400,
+    ("row", "arms"): 400,
+    ("row", "struts"): 400,
+    ("event", "details"): 4000,
     ("done", "problem"): 1000,
 }
 """All other texts have at most 40 characters."""
@@ -116,7 +119,8 @@ def wrong(reason: Reason, *values: Any) -> list[tuple[Any, Reason]]:
 def misfits(kind: str, name: str, hint: Any) -> Iterator[tuple[Any, Reason]]:
     """Values that the field must not have, each with the reason."""
     extension = msgpack.ExtType(5, b"x")
-    yield from wrong(Reason.FIELD_TYPE, None, True, False, b"a1", extension, msgpack.Timestamp(1))
+    yield from wrong(Reason.FIELD_TYPE, None, True, False, extension, msgpack.Timestamp(1))
+    yield b"a1", Reason.LENGTH if hint is bytes else Reason.FIELD_TYPE
     good = getattr(SAMPLES[kind], name)
     if hint is int:
         yield from wrong(Reason.FIELD_TYPE, 1.0, math.nan, "1", "", [1], {})
@@ -127,6 +131,9 @@ def misfits(kind: str, name: str, hint: Any) -> Iterator[tuple[Any, Reason]]:
     elif hint is str:
         yield from wrong(Reason.FIELD_TYPE, 1, 1.0, ["a1"], {"a1": 1})
         yield "ä" * (LONGEST_TEXT.get((kind, name), 40) + 1), Reason.LENGTH
+    elif hint is bytes:
+        yield from wrong(Reason.FIELD_TYPE, 1, 1.0, "12345678", [1.0], {})
+        yield from wrong(Reason.LENGTH, bytes(7), bytes(9))
     elif get_origin(hint) is Literal:
         yield from wrong(Reason.FIELD_TYPE, 1, 1.0, [good], {})
         yield from wrong(Reason.RANGE, "", "sideways", good.upper(), good + " ")

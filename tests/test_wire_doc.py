@@ -99,7 +99,7 @@ def test_a_table_has_every_field_in_order_and_no_other(kind: str) -> None:
     assert [field.name for field in MESSAGES[kind]] == list(SCHEMAS[kind][1])
 
 
-TYPES = {int: "integer", float: "number", str: "text", Vector: "numbers", dict[str, Vector]: "points"}
+TYPES = {int: "integer", float: "number", str: "text", bytes: "bytes", Vector: "numbers", dict[str, Vector]: "points"}
 
 
 @every_field
@@ -126,7 +126,7 @@ def reason_for(kind: str, name: str, value: object) -> Reason | None:
     return None
 
 
-GOOD: dict[str, object] = {"integer": 0, "number": 0.0, "text": "", "points": {}, "numbers": []}
+GOOD: dict[str, object] = {"bytes": b"", "integer": 0, "number": 0.0, "text": "", "points": {}, "numbers": []}
 
 
 @every_field
@@ -143,6 +143,8 @@ def test_a_field_has_the_shape_and_the_limit_that_are_written(kind: str, field: 
         case "text":
             longest = int(field.shape)
             assert (reason("ä" * longest), reason("ä" * (longest + 1))) == (None, Reason.LENGTH)
+        case "bytes":
+            assert (reason(bytes(8)), reason(bytes(7)), reason("")) == (None, Reason.LENGTH, Reason.FIELD_TYPE)
         case "choice":
             assert [reason(word) for word in code(field.shape)] == [None] * len(code(field.shape))
             assert reason("anything else") == Reason.RANGE
@@ -205,7 +207,7 @@ def test_the_keys_are_those_of_the_code() -> None:
     assert written == [
         *(arm.state, arm.command, arm.hello, arm.alive),
         *(leader.state, leader.command, leader.hello, leader.alive),
-        *(keys.sim_alive, keys.progress, keys.deeds, keys.order),
+        *(keys.sim_alive, keys.progress, keys.rows, keys.events, keys.deeds, keys.order),
     ]
     for expression in ANY_HELLO:
         assert f"`{expression}`" in PAGE

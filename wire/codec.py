@@ -22,6 +22,7 @@ from wire.messages import (
     Deed,
     Done,
     End,
+    Event,
     Goodbye,
     Hello,
     LeaderForce,
@@ -31,13 +32,17 @@ from wire.messages import (
     Order,
     Progress,
     Refusal,
+    Row,
     State,
     Vector,
     Welcome,
 )
 
 MAX_BYTES = 8192
-"""Longest message that is looked at; the longest that is ever sent is below 1500."""
+"""Longest message that is looked at. What an agent sends or gets is below 1500; a row of 16 arms for observers 7600."""
+
+DOUBLE = 8
+"""Bytes of a float64."""
 
 Check = Callable[[str, Any], Any]
 M = TypeVar("M", bound=Message)
@@ -102,6 +107,15 @@ def _one_of(*allowed: str) -> Check:
         return value
 
     return check
+
+
+def _doubles(name: str, value: Any) -> bytes:
+    """Numbers as bytes, eight each. They may be NaN or infinite: physics that failed is recorded too."""
+    if type(value) is not bytes:
+        raise Refused(Reason.FIELD_TYPE, name, type(value).__name__, "bytes")
+    if len(value) % DOUBLE:
+        raise Refused(Reason.LENGTH, name, len(value), f"a multiple of {DOUBLE} bytes")
+    return value
 
 
 def _points(name: str, value: Any) -> dict[str, Vector]:
@@ -197,6 +211,11 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
             "age_max_ticks": _integer,
         },
     ),
+    "row": (
+        Row,
+        {"tick": _integer, "tick_ns": _integer, "arms": _text(400), "struts": _text(400), "values": _doubles},
+    ),
+    "event": (Event, {"tick": _integer, "time_s": _number, "kind": _text(40), "details": _text(4000)}),
     "order": (Order, {"verb": _one_of("stop", "join"), "strut": _integer}),
     "deed": (
         Deed,

@@ -67,6 +67,16 @@ class Keys:
         return f"{self.root}/truth/progress"
 
     @property
+    def rows(self) -> str:
+        """What is recorded of a tick: for observers only."""
+        return f"{self.root}/truth/rows"
+
+    @property
+    def events(self) -> str:
+        """What happens: for observers only."""
+        return f"{self.root}/truth/events"
+
+    @property
     def deeds(self) -> str:
         """What the scenario wants done to processes: for the launcher."""
         return f"{self.root}/truth/deeds"

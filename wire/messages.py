@@ -175,6 +175,30 @@ class Progress(Struct, frozen=True, gc=False):
     """Real time: the oldest command that an arm has obeyed so far, in ticks from the state it answers."""
 
 
+class Row(Struct, frozen=True, gc=False):
+    """All that is recorded of one tick, for observers."""
+
+    tick: int
+    tick_ns: int
+    """Wall time that the tick took."""
+    arms: str
+    """Names of the arms that are there, with spaces between."""
+    struts: str
+    """Numbers of their struts, from 1, likewise."""
+    values: bytes
+    """float64, little-endian: the columns of the trace from ``load.position`` on, of these arms, in order."""
+
+
+class Event(Struct, frozen=True, gc=False):
+    """A line of events.jsonl, for observers."""
+
+    tick: int
+    time_s: float
+    kind: str
+    details: str
+    """What else the line says: a JSON object."""
+
+
 class Order(Struct, frozen=True, gc=False):
     """An order of the operator."""
 
@@ -212,6 +236,8 @@ Message = (
     | Goodbye
     | End
     | Progress
+    | Row
+    | Event
     | Order
     | Deed
     | Done
