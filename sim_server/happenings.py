@@ -8,12 +8,18 @@ import time
 from collections.abc import Collection, Sequence
 from typing import Protocol
 
+from sim_server.faults.event import Event, Lasting, Seen
+from sim_server.faults.grasps import FailGrasp, GraspSlip
+from sim_server.faults.message import MessageEvent
+from sim_server.faults.processes import ProcessEvent
+from sim_server.faults.proofs import Proofs
+from sim_server.faults.pushes import Push
 from sim_server.grasping import Closing
 from sim_server.lockstep import Ticker
 from sim_server.newcomers import CannotCome
 from sim_server.process_deeds import ProcessDeeds, Undone, undone
 from sim_server.reception import Reception, Report
-from sim_server.scenario_events import AnyEvent, FailGrasp, Join, Push, in_order
+from sim_server.scenario_events import AnyEvent, Join, in_order
 from sim_server.snapshot import Snapshot, SnapshotError
 from sim_server.world_builder import NotBuilt
 from wire.link import Publisher
@@ -31,10 +37,10 @@ class Hands(Protocol):
     def holds(self, arm: str) -> bool: ...
 
 
-class Pushes(Protocol):
-    """What has become of the pushes since it was last looked at."""
+class News(Protocol):
+    """What has been seen of events since it was last looked at."""
 
-    news: list[tuple[Push, str]]
+    news: list[Seen]
 
 
 class Arrivals(Protocol):
@@ -64,7 +70,7 @@ class Plant(Protocol):
     def hands(self) -> Hands: ...
 
     @property
-    def disturbances(self) -> Pushes: ...
+    def disturbances(self) -> News: ...
 
     @property
     def names(self) -> list[str]: ...
@@ -113,18 +119,22 @@ class Happenings:
         self._prepared: dict[str, int] = {}
         """Newcomers that are prepared for, each with the number of its deed, or 0."""
         self._due = in_order(events, period_ms)
+        self.proofs = Proofs(event for _, event in self._due)
         self._reception, self._clock, self._plant = reception, clock, plant
         self._report = report
-        self._deeds = ProcessDeeds(reception, clock, publisher, report, start_s=start_s, waits=waits)
+        self._deeds = ProcessDeeds(
+            reception, clock, publisher, report, start_s=start_s, waits=waits, proofs=self.proofs
+        )
         self._period_ms, self._start_s = period_ms, start_s
         self._slips: list[tuple[int, str]] = []
+        self._letting_go: list[GraspSlip] = []
+        """Hands that were made to let go, and whose end has not been seen."""
 
     def before(self, tick: int) -> None:
         """Do what is due before this tick. Raises :class:`Undone`, and :class:`sim_server.lockstep.Stopped`."""
-        hands, news = self._plant.hands, self._plant.disturbances.news
-        while news:
-            push, effect = news.pop(0)
-            self._report("seen", event=push.kind, **_target(push), effect=effect)
+        hands = self._plant.hands
+        self._clock.edge.settle(tick)
+        self._tell_news()
         while hands.opened:
             self._report("hand_opened", agent=hands.opened.pop(0))
         while hands.grasped:
@@ -139,28 +149,66 @@ class Happenings:
             if hands.holds(arm):
                 self._plant.slip(arm)
                 self._report("seen", event="fail_grasp", agent=arm, effect="the hand has slipped off")
+        while self._letting_go and not hands.holds(self._letting_go[0].arm):
+            self._see(Seen(self._letting_go.pop(0), "the hand holds nothing"))
         self._let_late_ones_come()
         while self._due and self._due[0][0] <= tick:
             _, event = self._due.pop(0)
-            if isinstance(event, Join):
-                if self._is_ready(event):
-                    self._let_come(event)
-                else:
-                    self._late.append((time.monotonic() + self._start_s, event))
-            elif isinstance(event, Push):
-                self._report("ordered", event=event.kind, **_target(event))
-                if event.arm is not None and event.arm not in self._plant.names:
-                    raise undone(event, "its robot is not there")
-                self._plant.push(event)
-            elif isinstance(event, FailGrasp):
-                self._report("ordered", event=event.kind, agent=event.arm)
-                if not hands.holds(event.arm):
-                    raise undone(event, "its hand holds nothing")
-                self._plant.loosen(event.arm, event.force_N)
-                self._slips = sorted([*self._slips, (tick + round(event.for_s * 1000 / self._period_ms), event.arm)])
-                self._report("seen", event=event.kind, agent=event.arm, effect="the hand holds badly")
+            if not isinstance(event, Join):
+                self._do(tick, event)
+            elif self._is_ready(event):
+                self._let_come(event)
             else:
-                self._deeds.do(event)
+                self._late.append((time.monotonic() + self._start_s, event))
+
+    def _do(self, tick: int, event: AnyEvent) -> None:
+        """Do what is due now. Raises :class:`Undone`."""
+        self.proofs.order(event)
+        if isinstance(event, ProcessEvent):
+            self._deeds.do(event)
+            return
+        self._report("ordered", event=event.kind, **_target(event))
+        if isinstance(event, Push):
+            self._check_is_there(event)
+            self._plant.push(event)
+        elif isinstance(event, MessageEvent):
+            self._clock.edge.begin(event, self._end_tick(event))
+        elif isinstance(event, FailGrasp):
+            self._check_holds(event)
+            self._plant.loosen(event.arm, event.force_N)
+            self._slips = sorted([*self._slips, (tick + round(event.for_s * 1000 / self._period_ms), event.arm)])
+            self._see(Seen(event, "the hand holds badly"))
+        elif isinstance(event, GraspSlip):
+            self._check_holds(event)
+            self._plant.slip(event.arm)
+            self._letting_go.append(event)
+
+    def _check_is_there(self, event: Push | Lasting) -> None:
+        if event.arm is not None and event.arm not in self._plant.names:
+            raise undone(event, "its robot is not there")
+
+    def _check_holds(self, event: FailGrasp | GraspSlip) -> None:
+        if not self._plant.hands.holds(event.arm):
+            raise undone(event, "its hand holds nothing")
+
+    def _end_tick(self, event: Lasting) -> int | None:
+        """The tick from which on it is over."""
+        return None if event.for_s is None else round((event.at_s + event.for_s) * 1000 / self._period_ms)
+
+    def _tell_news(self) -> None:
+        for news in (self._plant.disturbances.news, self._clock.edge.news):
+            while news:
+                self._see(news.pop(0))
+
+    def _see(self, seen: Seen) -> None:
+        if seen.proves:
+            self.proofs.see(seen.event)
+        self._report("seen", event=seen.event.kind, **_target(seen.event), effect=seen.effect)
+
+    def finish(self) -> None:
+        """The run has come to its end: tell what is to be told of faults that went on until then."""
+        self._clock.edge.finish()
+        self._tell_news()
 
     def _take_orders(self, tick: int) -> None:
         """Robots that the operator wants and nobody foresaw."""
@@ -219,6 +267,7 @@ class Happenings:
 
     def _let_come(self, event: Join) -> None:
         """The robot is there from now on. Raises :class:`Undone`."""
+        self.proofs.order(event)
         self._report("ordered", event=event.kind, agent=event.arm, strut=event.strut)
         try:
             self._await_its_process(event)
@@ -230,6 +279,7 @@ class Happenings:
         if self._waits and event.arm not in self._unforeseen:  # what nobody foresaw does not hold the others up
             self._deeds.wait(lambda: agent.is_in and agent.alive, event, "it has not joined", self._start_s)
         effect = f"it stands outside, by strut {event.strut}"
+        self.proofs.see(event)
         self._report("seen", event=event.kind, agent=event.arm, effect=effect, pause_ms=1e3 * pause_s)
 
     def _give_up(self, event: Join, why: str) -> None:
@@ -263,7 +313,9 @@ class Happenings:
             "late": [[event.arm, event.strut, self._is_unforeseen(event)] for _, event in self._late],
             "orders": list(self._clock.wanted),
             "slips": [list(slip) for slip in self._slips],
+            "letting_go": [[event.at_s, event.arm] for event in self._letting_go],
             "deeds": self._deeds.state(),
+            "proofs": self.proofs.state(),
         }
 
     def restore(self, saved: Snapshot) -> None:
@@ -280,12 +332,19 @@ class Happenings:
                 self._unforeseen.discard(event.arm)
         self._clock.wanted[:] = map(int, saved["orders"])
         self._slips = [(int(tick), str(arm)) for tick, arm in saved["slips"]]
+        self._letting_go = [
+            GraspSlip(kind="grasp_slip", at_s=float(at_s), arm=str(arm)) for at_s, arm in saved["letting_go"]
+        ]
         self._deeds.restore(saved["deeds"])
+        self.proofs.restore(saved["proofs"])
 
     def _is_unforeseen(self, event: Join) -> bool:
         return event.arm in self._unforeseen
 
 
-def _target(push: Push) -> dict[str, str]:
-    """Whom a push is on, for the events."""
-    return {"point": push.point or "centre_of_mass"} if push.arm is None else {"agent": push.arm}
+def _target(event: Event) -> dict[str, str]:
+    """Whom an event is on, for the events' file."""
+    if isinstance(event, Push) and event.arm is None:
+        return {"point": event.point or "centre_of_mass"}
+    whom = {"agent": str(arm)} if (arm := getattr(event, "arm", None)) else {"point": "load"}
+    return whom | {"direction": event.direction} if isinstance(event, MessageEvent) else whom

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from sim_server.bases import Bases
 from sim_server.disturbances import Disturbances
 from sim_server.errors import PlantFailed
+from sim_server.faults.pushes import Push
 from sim_server.grasping import Grasping
 from sim_server.grips import grip_wrenches
 from sim_server.layout import STRUT_SIDE_M, cross
@@ -24,7 +25,6 @@ from sim_server.motor_drivers import MotorDrivers
 from sim_server.new_world import carry_over, stand_outside
 from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.scenario import arm_number
-from sim_server.scenario_events import Push
 from sim_server.sensor_noise import SensorNoise
 from sim_server.snapshot import Snapshot, SnapshotError, fill
 from sim_server.unled_arms import Behaviour, Brake, Felt, LetDown, Limp, Release

@@ -13,9 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sim_server.errors import SimError
+from sim_server.faults.event import Event
+from sim_server.faults.processes import ProcessEvent, Verb
+from sim_server.faults.proofs import Proofs, describe
 from sim_server.lockstep import Ticker
 from sim_server.reception import Agent, Reception, Report
-from sim_server.scenario_events import AnyEvent, ProcessEvent, Verb
 from sim_server.snapshot import Snapshot
 from wire.codec import encode
 from wire.lifecycle import Phase
@@ -50,13 +52,22 @@ class ProcessDeeds:
         publisher: to the launcher.
         start_s: wall time that a started agent has to be in.
         waits: whether the clock stands until the sign of life of an agent that has left is gone (lock-step).
+        proofs: where it is noted what has been seen.
     """
 
     def __init__(
-        self, reception: Reception, clock: Ticker, publisher: Publisher, report: Report, *, start_s: float, waits: bool
+        self,
+        reception: Reception,
+        clock: Ticker,
+        publisher: Publisher,
+        report: Report,
+        *,
+        start_s: float,
+        waits: bool,
+        proofs: Proofs,
     ) -> None:
         self._reception, self._clock, self._publisher, self._report = reception, clock, publisher, report
-        self._start_s, self._waits = start_s, waits
+        self._start_s, self._waits, self._proofs = start_s, waits, proofs
         self._number = 0
         self._going: list[Going] = []
 
@@ -89,7 +100,7 @@ class ProcessDeeds:
             if agent.link.phase is Phase.LEFT:
                 self._wait_until_dead(agent, going.event, DEED_S)
             self._going.remove(going)
-            self._seen(going.event, gone)
+            self._seen(going.event, gone, proves=agent.link.phase is Phase.LEFT)
 
     @staticmethod
     def _how_it_went(going: Going, agent: Agent) -> str:
@@ -100,7 +111,9 @@ class ProcessDeeds:
             return "it was lost before it had gone"
         return ""
 
-    def _seen(self, event: ProcessEvent, effect: str) -> None:
+    def _seen(self, event: ProcessEvent, effect: str, *, proves: bool = True) -> None:
+        if proves:
+            self._proofs.see(event)
         self._report("seen", event=event.kind, agent=event.agent, effect=effect)
 
     def _send_away(self, event: ProcessEvent) -> None:
@@ -157,7 +170,7 @@ class ProcessDeeds:
         if done[number]:
             raise undone(event, done[number])
 
-    def wait(self, seen: Callable[[], bool], event: AnyEvent, else_: str, seconds: float) -> None:
+    def wait(self, seen: Callable[[], bool], event: Event, else_: str, seconds: float) -> None:
         """Take in what comes until something is seen. Raises :class:`Undone`, with ``else_``, if it is not in time."""
         deadline = time.monotonic() + seconds
         while not seen():
@@ -180,7 +193,6 @@ class ProcessDeeds:
         ]
 
 
-def undone(event: AnyEvent, problem: str) -> Undone:
+def undone(event: Event, problem: str) -> Undone:
     """The error for an event that was not done."""
-    agent = event.agent if isinstance(event, ProcessEvent) else event.arm or "the load"
-    return Undone(f"event {event.kind!r} of {agent} at {event.at_s:g} s was not done: {problem}")
+    return Undone(f"{describe(event)} was not done: {problem}")

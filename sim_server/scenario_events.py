@@ -1,58 +1,28 @@
-"""Events of a scenario file: what happens at a simulated time, to a process or in the simulated world.
+"""Events of a scenario file: what happens at a simulated time, to a process, a message, or in the simulated world.
 
-Process events really happen to processes: the launcher sends the signal or starts the process, and the clock stands
-until that is seen. Whether the events can happen so at all is checked before anything runs.
+Most are faults (:mod:`sim_server.faults`). Process events really happen to processes: the launcher sends the signal or
+starts the process, and the clock stands until that is seen. Whether the events can happen so at all is checked before
+anything runs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Annotated, Literal
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-At = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Vector3 = tuple[Finite, Finite, Finite]
-
-LoadPlace = Literal["centre_of_mass", "centre", "front", "back", "left", "right"]
-
-Verb = Literal["kill", "stop", "continue", "start", "leave"]
-
-
-class _Event(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    at_s: At
-    """Simulated time; the event takes effect before the tick of that time."""
+from sim_server.faults.event import Event, Lasting
+from sim_server.faults.grasps import FailGrasp, GraspSlip
+from sim_server.faults.message import MessageEvent
+from sim_server.faults.processes import ProcessEvent, Verb
+from sim_server.faults.pushes import Push
+from sim_server.faults.registry import FAULTS
 
 
-class ProcessEvent(_Event):
-    """A thing done to the process of an arm's agent or of the leader.
-
-    ``kill``: SIGKILL. ``stop``: SIGSTOP. ``continue``: SIGCONT. ``leave``: SIGTERM, at which it puts down
-    what it carries, drives clear and says goodbye.
-    ``start``: a new process (an old one of that name that is still there is ended first).
-    """
-
-    kind: Verb
-    agent: str
-    """An arm's name, or ``leader``."""
-
-
-class FailGrasp(_Event):
-    """A hand that holds badly for a while, with spurious forces drawn from the seed, and then slips off for good."""
-
-    kind: Literal["fail_grasp"]
-    arm: str
-    for_s: Positive = 1.0
-    force_N: NotNegative = 20.0
-    """Spurious force between hand and load, one standard deviation per axis."""
-
-
-class Join(_Event):
+class Join(Event):
     """A new robot comes: it stands outside at that time, drives to a free strut, takes hold, and carries on.
 
     Its world is built and its agent started before that, while the simulation goes on.
@@ -65,32 +35,19 @@ class Join(_Event):
     """Number of the strut, from 1; arm ``ak`` of the team starts at strut k."""
 
 
-class Push(_Event):
-    """A disturbance from outside: a force and a torque on one arm's hand, or on the load, for a while.
+AnyEvent = ProcessEvent | FailGrasp | GraspSlip | Join | Push | MessageEvent
 
-    ``constant``: as given. ``smooth``: each component swings within what is given, sines of several periods with phases
-    drawn from the seed, and comes and goes gently. ``abrupt``: each component jumps to values drawn within what is
-    given, and stays there for times drawn from the seed. See :mod:`sim_server.push_shapes`.
-    """
+SETTINGS: tuple[type[Event], ...] = tuple(dict.fromkeys((*(fault.settings for fault in FAULTS), Join)))
+"""Every kind of table that ``[[events]]`` may have."""
+EVENT_KINDS: Mapping[str, type[Event]] = {
+    kind: settings for settings in SETTINGS for kind in get_args(settings.model_fields["kind"].annotation)
+}
+"""The same by the word for it."""
 
-    kind: Literal["push"]
-    arm: str | None = None
-    """Whose hand, at the tool centre; or else"""
-    point: LoadPlace | None = None
-    """a point of the load."""
-    for_s: Positive
-    force_N: Vector3 = (0.0, 0.0, 0.0)
-    """In the world's axes."""
-    torque_Nm: Vector3 = (0.0, 0.0, 0.0)
-    shape: Literal["constant", "smooth", "abrupt"] = "constant"
-    period_s: Positive | None = None
-    """``smooth``: of the slowest of its sines; 4 s if it is not given."""
-    hold_s: Annotated[float, Field(strict=True, ge=0.001, allow_inf_nan=False)] | None = None
-    """``abrupt``: mean time between two jumps; 0.5 s if it is not given."""
-
-
-ScenarioEvent = Annotated[ProcessEvent | FailGrasp | Join | Push, Field(discriminator="kind")]
-AnyEvent = ProcessEvent | FailGrasp | Join | Push
+if TYPE_CHECKING:
+    ScenarioEvent = AnyEvent
+else:
+    ScenarioEvent = Annotated[reduce(or_, SETTINGS), Field(discriminator="kind")]
 
 _FOLLOWS: Mapping[Verb, tuple[Collection[str], str]] = {
     "kill": (("running", "stopped", "leaving"), "gone"),
@@ -129,17 +86,22 @@ def check_events(
                 )
             process[event.arm], held[event.strut] = "running", event.arm
             continue
-        affected = event.arm if isinstance(event, FailGrasp) else getattr(event, "agent", None)
+        affected = getattr(event, "agent", None)
+        if isinstance(event, FailGrasp | GraspSlip):
+            affected = event.arm
         held = {strut: arm for strut, arm in held.items() if arm != affected}
-        if isinstance(event, FailGrasp):
-            if event.arm not in process or event.arm == "leader":
-                raise ValueError(f"{where}.arm: no arm {event.arm!r}; expected one of {', '.join(arms)}")
+        there = [name for name in process if name != "leader"]
+        if isinstance(event, Push):
+            _check_push(event, where, there, end_s)
+            continue
+        if isinstance(event, FailGrasp | GraspSlip):
+            _check_arm(event.arm, where, there)
             if event.arm in slipped:
                 raise ValueError(f"{where}.arm: the grasp of {event.arm} has failed before, and for good")
             slipped.add(event.arm)
             continue
-        if isinstance(event, Push):
-            _check_push(event, where, [name for name in process if name != "leader"], end_s)
+        if isinstance(event, Lasting):
+            _check_lasting(event, where, there, end_s)
             continue
         if event.agent not in process:
             raise ValueError(f"{where}.agent: no agent {event.agent!r}; expected one of {', '.join(process)}")
@@ -152,12 +114,29 @@ def check_events(
         process[event.agent] = "running again" if event.kind == "continue" else after
 
 
+def _check_arm(arm: str, where: str, arms: Collection[str]) -> None:
+    if arm not in arms:
+        raise ValueError(f"{where}.arm: no arm {arm!r} then; expected one of {', '.join(arms)}")
+
+
+def _check_lasting(event: Lasting, where: str, arms: Collection[str], end_s: float) -> None:
+    if event.arm is not None:
+        _check_arm(event.arm, where, arms)
+    if event.for_s is not None and event.at_s + event.for_s >= end_s:
+        raise ValueError(
+            f"{where}.for_s: it ends at {event.at_s + event.for_s:g} s, not before the run's end at {end_s:g} s; "
+            "leave it out for a fault that goes on until then"
+        )
+    if problem := event.problem():
+        raise ValueError(f"{where}.{problem[0]}: {problem[1]}")
+
+
 def _check_push(push: Push, where: str, arms: Collection[str], end_s: float) -> None:
     if (push.arm is None) == (push.point is None):
         got = "neither `arm` nor `point`" if push.arm is None else "both `arm` and `point`"
         raise ValueError(f"{where}.arm: a push is on one arm's hand or on one point of the load; got {got}")
-    if push.arm is not None and push.arm not in arms:
-        raise ValueError(f"{where}.arm: no arm {push.arm!r} then; expected one of {', '.join(arms)}")
+    if push.arm is not None:
+        _check_arm(push.arm, where, arms)
     if not (any(push.force_N) or any(push.torque_Nm)):
         raise ValueError(f"{where}.force_N: nothing pushes: expected a `force_N` or a `torque_Nm` that is not zero")
     if push.at_s + push.for_s >= end_s:

@@ -274,6 +274,7 @@ class Server:
                 if time.monotonic() - self._last_progress > PROGRESS_S:
                     self._publish_progress("running", "")
                 clock.timings.end_tick(stepped - stepping, time.perf_counter_ns() - stepped)
+            self._happenings.finish()
         except Stopped:
             return False, "stopped by the operator"
         except (PlantFailed, Undone) as failure:

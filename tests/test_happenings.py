@@ -12,11 +12,15 @@ from hypothesis import strategies as st
 
 from sim_server import happenings, process_deeds
 from sim_server.errors import ScenarioError
+from sim_server.faults.event import Seen
+from sim_server.faults.grasps import FailGrasp
+from sim_server.faults.processes import ProcessEvent, Verb
+from sim_server.faults.pushes import Push
 from sim_server.grasping import Closing
 from sim_server.happenings import Arrivals, Happenings
 from sim_server.newcomers import CannotCome
 from sim_server.process_deeds import Undone
-from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Push, Verb, check_events
+from sim_server.scenario_events import AnyEvent, Join, check_events
 from sim_server.scenario_files import load_scenario
 from sim_server.snapshot import pack, unpack
 from sim_server.world_builder import NotBuilt
@@ -168,7 +172,7 @@ class PushesBook:
     """What has become of pushes since it was last looked at."""
 
     def __init__(self) -> None:
-        self.news: list[tuple[Push, str]] = []
+        self.news: list[Seen] = []
 
 
 class NoHands:
@@ -182,7 +186,7 @@ class NoHands:
 
     def push(self, event: Push) -> None:
         self.book.append(("push", event.arm or event.point))
-        self.disturbances.news.append((event, "50 N act"))
+        self.disturbances.news.append(Seen(event, "50 N act"))
 
     def loosen(self, arm: str, force_N: float) -> None:
         self.book.append(("loosen", arm, force_N))
@@ -202,8 +206,9 @@ class Stage:
         newcomers: Arrivals | None = None,
         waits: bool = True,
         ticks: int = 10**6,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
-        self.bench = Bench()
+        self.bench = Bench(timeout_s=timeout_s)
         self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in ("a1", "a2")}
         self.hands = NoHands()
         keys = Keys(RUN)
