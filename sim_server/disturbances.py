@@ -128,7 +128,9 @@ class Disturbances:
         about_com = wrench.copy()
         if point != "centre_of_mass":
             R_WO = world.data.xmat[world.load_body].reshape(3, 3)
-            about_com[3:] += _moment(R_WO @ (world.load_points[point] - world.load_com), wrench[:3])
+            about_com[3:] += _moment(
+                R_WO @ (world.load_points[point] - world.model.body_ipos[world.load_body]), wrench[:3]
+            )
         world.data.xfrc_applied[world.load_body] += about_com
         self.on_load += about_com
 

@@ -11,6 +11,7 @@ from typing import Protocol
 from sim_server.faults.event import Event, Lasting, Seen
 from sim_server.faults.grasps import FailGrasp, GraspSlip
 from sim_server.faults.message import MessageEvent
+from sim_server.faults.physical import PhysicalEvent
 from sim_server.faults.processes import ProcessEvent
 from sim_server.faults.proofs import Proofs
 from sim_server.faults.pushes import Push
@@ -43,6 +44,14 @@ class News(Protocol):
     news: list[Seen]
 
 
+class Faults(News, Protocol):
+    """The plant's faults: see :class:`sim_server.faults.damage.Damage`."""
+
+    def begin(self, event: PhysicalEvent, tick: int, end: int | None) -> None: ...
+
+    def finish(self) -> None: ...
+
+
 class Arrivals(Protocol):
     """Who comes: see :class:`sim_server.newcomers.Newcomers`."""
 
@@ -71,6 +80,9 @@ class Plant(Protocol):
 
     @property
     def disturbances(self) -> News: ...
+
+    @property
+    def damage(self) -> Faults: ...
 
     @property
     def names(self) -> list[str]: ...
@@ -173,6 +185,9 @@ class Happenings:
             self._plant.push(event)
         elif isinstance(event, MessageEvent):
             self._clock.edge.begin(event, self._end_tick(event))
+        elif isinstance(event, PhysicalEvent):
+            self._check_is_there(event)
+            self._plant.damage.begin(event, tick, self._end_tick(event))
         elif isinstance(event, FailGrasp):
             self._check_holds(event)
             self._plant.loosen(event.arm, event.force_N)
@@ -196,7 +211,7 @@ class Happenings:
         return None if event.for_s is None else round((event.at_s + event.for_s) * 1000 / self._period_ms)
 
     def _tell_news(self) -> None:
-        for news in (self._plant.disturbances.news, self._clock.edge.news):
+        for news in (self._plant.disturbances.news, self._plant.damage.news, self._clock.edge.news):
             while news:
                 self._see(news.pop(0))
 
@@ -208,6 +223,7 @@ class Happenings:
     def finish(self) -> None:
         """The run has come to its end: tell what is to be told of faults that went on until then."""
         self._clock.edge.finish()
+        self._plant.damage.finish()
         self._tell_news()
 
     def _take_orders(self, tick: int) -> None:

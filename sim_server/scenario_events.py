@@ -17,6 +17,7 @@ from pydantic import Field
 from sim_server.faults.event import Event, Lasting
 from sim_server.faults.grasps import FailGrasp, GraspSlip
 from sim_server.faults.message import MessageEvent
+from sim_server.faults.physical import PhysicalEvent
 from sim_server.faults.processes import ProcessEvent, Verb
 from sim_server.faults.pushes import Push
 from sim_server.faults.registry import FAULTS
@@ -35,7 +36,7 @@ class Join(Event):
     """Number of the strut, from 1; arm ``ak`` of the team starts at strut k."""
 
 
-AnyEvent = ProcessEvent | FailGrasp | GraspSlip | Join | Push | MessageEvent
+AnyEvent = ProcessEvent | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
 
 SETTINGS: tuple[type[Event], ...] = tuple(dict.fromkeys((*(fault.settings for fault in FAULTS), Join)))
 """Every kind of table that ``[[events]]`` may have."""

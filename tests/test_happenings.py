@@ -14,6 +14,7 @@ from sim_server import happenings, process_deeds
 from sim_server.errors import ScenarioError
 from sim_server.faults.event import Seen
 from sim_server.faults.grasps import FailGrasp
+from sim_server.faults.physical import PhysicalEvent
 from sim_server.faults.processes import ProcessEvent, Verb
 from sim_server.faults.pushes import Push
 from sim_server.grasping import Closing
@@ -175,12 +176,23 @@ class PushesBook:
         self.news: list[Seen] = []
 
 
+class DamageBook(PushesBook):
+    """Likewise of physical faults."""
+
+    def begin(self, event: PhysicalEvent, tick: int, end: int | None) -> None:
+        self.news.append(Seen(event, f"from {tick} to {end}", proves=event.arm != "a1"))
+
+    def finish(self) -> None:
+        pass
+
+
 class NoHands:
     """A plant's hands that only write down."""
 
     def __init__(self) -> None:
         self.hands = HandsBook()
         self.disturbances = PushesBook()
+        self.damage = DamageBook()
         self.names = ["a1", "a2"]
         self.book: list[tuple[object, ...]] = []
 

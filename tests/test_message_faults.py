@@ -269,7 +269,7 @@ def a_command(tick: int) -> bytes:
 
 @pytest.mark.parametrize("kind", sorted(SETTINGS))
 def test_the_same_seed_does_the_same_and_another_another(kind: str) -> None:
-    keys = {} if kind in ("delay", "duplicate", "stale") else {"probability": 0.5}
+    keys: dict[str, Any] = {} if kind in ("delay", "duplicate", "stale") else {"probability": 0.5}
 
     def made(seed: int, first: int = 0) -> list[list[bytes]]:
         edge = Edge(seed)

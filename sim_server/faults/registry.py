@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim_server.faults import delays, grasps, losses, processes, pushes, spoiled
+from sim_server.faults import added_mass, delays, grasps, joints, losses, processes, pushes, sensors, spoiled, wheels
 from sim_server.faults.event import Fault
 
 FAULTS: tuple[Fault, ...] = (
@@ -10,6 +10,10 @@ FAULTS: tuple[Fault, ...] = (
     *delays.FAULTS,
     *losses.FAULTS,
     *spoiled.FAULTS,
+    *joints.FAULTS,
+    *sensors.FAULTS,
+    *wheels.FAULTS,
     *grasps.FAULTS,
     *pushes.FAULTS,
+    *added_mass.FAULTS,
 )
