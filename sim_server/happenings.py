@@ -161,8 +161,7 @@ class Happenings:
             if hands.holds(arm):
                 self._plant.slip(arm)
                 self._report("seen", event="fail_grasp", agent=arm, effect="the hand has slipped off")
-        while self._letting_go and not hands.holds(self._letting_go[0].arm):
-            self._see(Seen(self._letting_go.pop(0), "the hand holds nothing"))
+        self._look_at_hands()
         self._let_late_ones_come()
         while self._due and self._due[0][0] <= tick:
             _, event = self._due.pop(0)
@@ -210,6 +209,12 @@ class Happenings:
         """The tick from which on it is over."""
         return None if event.for_s is None else round((event.at_s + event.for_s) * 1000 / self._period_ms)
 
+    def _look_at_hands(self) -> None:
+        """Report those that were made to let go and have."""
+        for event in [each for each in self._letting_go if not self._plant.hands.holds(each.arm)]:
+            self._letting_go.remove(event)
+            self._see(Seen(event, "the hand holds nothing"))
+
     def _tell_news(self) -> None:
         for news in (self._plant.disturbances.news, self._plant.damage.news, self._clock.edge.news):
             while news:
@@ -221,7 +226,9 @@ class Happenings:
         self._report("seen", event=seen.event.kind, **_target(seen.event), effect=seen.effect)
 
     def finish(self) -> None:
-        """The run has come to its end: tell what is to be told of faults that went on until then."""
+        """The run has come to its end: tell what is to be told of what went on until then. Raises :class:`Undone`."""
+        self._deeds.look()
+        self._look_at_hands()
         self._clock.edge.finish()
         self._plant.damage.finish()
         self._tell_news()

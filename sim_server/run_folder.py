@@ -16,7 +16,7 @@ from sim_server.errors import SimError
 from sim_server.metrics import TraceFacts, physical_metrics
 from sim_server.scenario import Bound
 from sim_server.trace import read_trace
-from sim_server.verdict import Judged, Verdict, judge, overall
+from sim_server.verdict import Judged, Verdict, judge, overall, why_unknown
 
 RUN, METRICS, AUDIT = "run.json", "metrics.json", "audit.json"
 TRACE, EVENTS, LOGS = "trace.parquet", "events.jsonl", "logs"
@@ -210,14 +210,17 @@ def compute_metrics(path: Path) -> tuple[dict[str, Any], tuple[Judged, ...]]:
             )
         )
         metrics |= {name: value for name, value in run["measured"].items() if name not in metrics}
-        completed = bool(run["ended"]["completed"])
+        completed, why = bool(run["ended"]["completed"]), str(run["ended"]["why"])
+        unproven = [str(each) for each in run.get("unproven", [])]
     # An edited or cut-off folder can fail in any of these ways; each means the same.
     except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         problem = " ".join(str(error).split())
         raise RunFolderError(f"{path}: no metrics can be computed: {type(error).__name__}: {problem}") from None
     metrics = {name: _finite(value) for name, value in metrics.items()}
     judged = judge(metrics, expect)
-    metrics["verdict"] = overall(judged, completed)
+    metrics["verdict"] = overall(judged, completed, unproven)
+    if metrics["verdict"] == "unknown":
+        metrics["why_unknown"] = why_unknown(judged, None if completed else why, unproven)
     return metrics, judged
 
 

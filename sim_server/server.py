@@ -287,11 +287,14 @@ class Server:
 
     def _conclude(self, completed: bool, why: str) -> Outcome:
         wall_s = time.monotonic() - self._start_wall
-        self._report("ended", why=why)
         folder, trace = self._folder.path, self._trace
         assert trace is not None
+        unproven = self._happenings.proofs.missing()
+        for each in unproven:
+            self._report("unproven", text=each)
+        self._report("ended", why=why)
         trace.close()
-        ending = Ending(completed, why, wall_s)
+        ending = Ending(completed, why, wall_s, unproven)
         write_json(
             folder / RUN,
             describe_run(
@@ -311,6 +314,8 @@ class Server:
         self._auditor.look()
         audit = self._auditor.describe(self._reception.tallies, describe_agents(self._reception))
         write_json(folder / AUDIT, audit)
+        if completed and unproven:
+            why = f"{why}, but {unproven[0]}" + (f" ({len(unproven) - 1} more)" if len(unproven) > 1 else "")
         return Outcome(verdict, completed, why, self._auditor.hangs)
 
     def _publish_progress(self, phase: Any, waiting_for: str) -> None:
