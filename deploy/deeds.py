@@ -1,5 +1,5 @@
-"""Deeds done to processes for a scenario's events: kill, stop, continue and start, each confirmed by the kernel; and
-leave, which takes an agent simulated time and is therefore only asked for."""
+"""Deeds done to processes for a scenario's events: kill, stop, hang, slow, continue and start, each confirmed by the
+kernel; and leave, which takes an agent simulated time and is therefore only asked for."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import queue
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
+from deploy.hanging import CannotHang, hang, is_hung, let_go
+from deploy.starving import Starved
 from wire.codec import decode, encode
 from wire.keys import Keys
 from wire.link import Link
@@ -30,11 +32,21 @@ class Doer:
         run: name of the run.
         find: the process of an agent.
         start: starts an agent's process anew.
+        shares: for each ``slow`` of the scenario, in order of time, the agent and its part of the time, 0 to 1.
     """
 
-    def __init__(self, link: Link, run: str, find: Find, start: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        link: Link,
+        run: str,
+        find: Find,
+        start: Callable[[str], None],
+        shares: Iterable[tuple[str, float]] = (),
+    ) -> None:
         keys = Keys(run)
         self._find, self._start = find, start
+        self._shares = list(shares)
+        self._starved: dict[str, Starved] = {}
         self._asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._report = link.publisher(keys.order)
         link.subscribe(keys.deeds, self._asked.put)
@@ -52,6 +64,10 @@ class Doer:
     def _do(self, deed: Deed) -> str:
         """Do it; what was in the way, or nothing."""
         process = self._find(deed.agent)
+        if deed.agent in self._starved:
+            self._starved.pop(deed.agent).end()
+            if deed.verb == "continue":
+                return ""
         if deed.verb == "start":
             if process is not None and process.poll() is None:
                 process.kill()
@@ -63,6 +79,17 @@ class Doer:
             return ""
         if process is None or process.poll() is not None:
             return "its process has ended already"
+        if deed.verb == "slow":
+            return self._slow(deed.agent, process)
+        try:
+            if deed.verb == "hang":
+                hang(process.pid, CONFIRM_S)
+                return ""
+            if deed.verb == "continue" and is_hung(process.pid):
+                let_go(process.pid)
+                return ""
+        except CannotHang as error:
+            return f"its control loop cannot be stopped or let go: {error}"
         number = {
             "kill": signal.SIGKILL,
             "stop": signal.SIGSTOP,
@@ -79,6 +106,21 @@ class Doer:
         except subprocess.TimeoutExpired:
             return f"it has not ended {CONFIRM_S:g} s after {number.name}"
         return ""
+
+    def _slow(self, agent: str, process: subprocess.Popen[bytes]) -> str:
+        share = next((each for each in self._shares if each[0] == agent), None)
+        if share is None:
+            return "the scenario says nothing of its share of the time"
+        self._shares.remove(share)
+        self._starved[agent] = Starved(process, share[1])
+        if not self._starved[agent].is_seen(CONFIRM_S):
+            return f"the kernel has not shown it stopped and going on in {CONFIRM_S:g} s"
+        return ""
+
+    def end(self) -> None:
+        """Nobody is starved any more, so that all can obey a signal."""
+        while self._starved:
+            self._starved.popitem()[1].end()
 
 
 def _changed(pid: int, options: int) -> str:

@@ -20,6 +20,7 @@ from pathlib import Path
 from deploy.deeds import Doer
 from deploy.mailbox import Mailbox
 from deploy.room import Rooms, room_environment
+from sim_server.faults.processes import Slow
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario, arm_number
 from wire.access import Role
@@ -96,6 +97,7 @@ class Launcher:
         self._logs = folder / LOGS
         self._rooms = Rooms()
         self._mailbox: Mailbox | None = None
+        self._doer: Doer | None = None
 
     def start(self) -> None:
         """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
@@ -176,7 +178,9 @@ class Launcher:
         started = False
         news: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         link.subscribe(Keys(self._run).progress, news.put)
-        doer = Doer(link, self._run, self._process_of, self._start_agent)
+        slowed = sorted((event for event in self._scenario.events if isinstance(event, Slow)), key=lambda e: e.at_s)
+        shares = [(event.agent, event.share_percent / 100) for event in slowed]
+        doer = self._doer = Doer(link, self._run, self._process_of, self._start_agent, shares)
         orders = link.publisher(Keys(self._run).order)
         self._mailbox = Mailbox(self._folder)
         while self.sim.process.poll() is None:
@@ -214,6 +218,8 @@ class Launcher:
 
     def end_all(self) -> None:
         """End every process that is left: politely, then for good."""
+        if self._doer is not None:
+            self._doer.end()
         for signal_number, patience_s in ((signal.SIGTERM, TERM_S), (signal.SIGKILL, TERM_S)):
             alive = [child for child in self._children if child.process.poll() is None]
             for child in alive:

@@ -12,7 +12,7 @@ from sim_server.faults.event import Event, Lasting, Seen
 from sim_server.faults.grasps import FailGrasp, GraspSlip
 from sim_server.faults.message import MessageEvent
 from sim_server.faults.physical import PhysicalEvent
-from sim_server.faults.processes import ProcessEvent
+from sim_server.faults.processes import ToProcess
 from sim_server.faults.proofs import Proofs
 from sim_server.faults.pushes import Push
 from sim_server.grasping import Closing
@@ -20,7 +20,7 @@ from sim_server.lockstep import Ticker
 from sim_server.newcomers import CannotCome
 from sim_server.process_deeds import ProcessDeeds, Undone, undone
 from sim_server.reception import Reception, Report
-from sim_server.scenario_events import AnyEvent, Join, in_order
+from sim_server.scenario_events import AnyEvent, Join, Whole, in_order
 from sim_server.snapshot import Snapshot, SnapshotError
 from sim_server.world_builder import NotBuilt
 from wire.link import Publisher
@@ -172,10 +172,10 @@ class Happenings:
             else:
                 self._late.append((time.monotonic() + self._start_s, event))
 
-    def _do(self, tick: int, event: AnyEvent) -> None:
+    def _do(self, tick: int, event: Whole) -> None:
         """Do what is due now. Raises :class:`Undone`."""
         self.proofs.order(event)
-        if isinstance(event, ProcessEvent):
+        if isinstance(event, ToProcess):
             self._deeds.do(event)
             return
         self._report("ordered", event=event.kind, **_target(event))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from sim_server.errors import SimError
 from sim_server.faults.event import Event
-from sim_server.faults.processes import ProcessEvent, Verb
+from sim_server.faults.processes import AnyVerb, ProcessEvent, ToProcess
 from sim_server.faults.proofs import Proofs, describe
 from sim_server.lockstep import Ticker
 from sim_server.reception import Agent, Reception, Report
@@ -40,7 +40,7 @@ class Undone(SimError):
 class Going:
     """An agent that was told to leave and has not gone yet."""
 
-    event: ProcessEvent
+    event: ToProcess
     lease: int
     """Of the instance that was told; 0 if that was in a simulator before this one."""
 
@@ -76,13 +76,13 @@ class ProcessDeeds:
         """Whether the launcher is there."""
         return self._publisher.matched()
 
-    def order(self, agent: str, verb: Verb) -> int:
+    def order(self, agent: str, verb: AnyVerb) -> int:
         """Ask the launcher for a deed; its number."""
         self._number += 1
         self._publisher.put(encode(Deed(self._number, verb, agent)))
         return self._number
 
-    def do(self, event: ProcessEvent) -> None:
+    def do(self, event: ToProcess) -> None:
         """Have it done, and report it as soon as it is seen. Raises :class:`Undone`."""
         self._report("ordered", event=event.kind, agent=event.agent)
         if event.kind == "leave":
@@ -111,12 +111,12 @@ class ProcessDeeds:
             return "it was lost before it had gone"
         return ""
 
-    def _seen(self, event: ProcessEvent, effect: str, *, proves: bool = True) -> None:
+    def _seen(self, event: ToProcess, effect: str, *, proves: bool = True) -> None:
         if proves:
             self._proofs.see(event)
         self._report("seen", event=event.kind, agent=event.agent, effect=effect)
 
-    def _send_away(self, event: ProcessEvent) -> None:
+    def _send_away(self, event: ToProcess) -> None:
         agent = self._reception.agents[event.agent]
         link = agent.link
         self.wait(lambda: agent.alive or not agent.is_in, event, "it has shown no sign of life", DEED_S)
@@ -130,7 +130,7 @@ class ProcessDeeds:
         self._going.append(Going(event, link.lease))
         self.look()
 
-    def _do(self, event: ProcessEvent) -> str:
+    def _do(self, event: ToProcess) -> str:
         """Have it done; what was seen of it."""
         agent, name = self._reception.agents[event.agent], event.agent
         if event.kind in ("kill", "start"):
@@ -148,15 +148,20 @@ class ProcessDeeds:
         if event.kind == "stop":
             self._clock.freeze(name)
             return "the kernel has stopped it"
+        if event.kind == "hang":  # nobody tells the clock: to find out is its own affair
+            self.wait(lambda: agent.alive, event, "its sign of life is gone", seconds)
+            return "the kernel has stopped its control loop, and its sign of life is there"
+        if event.kind == "slow":
+            return "the kernel has stopped it and let it go on, again and again"
         self._clock.thaw(name)
         if agent.link.phase is Phase.LOST:
             return "it runs again, but was lost meanwhile: its lease is worth nothing"
         return "it runs again"
 
-    def _wait_until_dead(self, agent: Agent, event: ProcessEvent, seconds: float) -> None:
+    def _wait_until_dead(self, agent: Agent, event: ToProcess, seconds: float) -> None:
         self.wait(lambda: not agent.alive, event, "its sign of life is still there", seconds)
 
-    def _ask(self, event: ProcessEvent, seconds: float) -> None:
+    def _ask(self, event: ToProcess, seconds: float) -> None:
         self.wait(
             self._publisher.matched,
             event,

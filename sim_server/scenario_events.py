@@ -7,7 +7,7 @@ anything runs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
@@ -18,7 +18,7 @@ from sim_server.faults.event import Event, Lasting
 from sim_server.faults.grasps import FailGrasp, GraspSlip
 from sim_server.faults.message import MessageEvent
 from sim_server.faults.physical import PhysicalEvent
-from sim_server.faults.processes import ProcessEvent, Verb
+from sim_server.faults.processes import AnyVerb, RestartStorm, ToProcess
 from sim_server.faults.pushes import Push
 from sim_server.faults.registry import FAULTS
 
@@ -36,7 +36,9 @@ class Join(Event):
     """Number of the strut, from 1; arm ``ak`` of the team starts at strut k."""
 
 
-AnyEvent = ProcessEvent | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
+AnyEvent = ToProcess | RestartStorm | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
+Whole = ToProcess | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
+"""Those that do not consist of others."""
 
 SETTINGS: tuple[type[Event], ...] = tuple(dict.fromkeys((*(fault.settings for fault in FAULTS), Join)))
 """Every kind of table that ``[[events]]`` may have."""
@@ -50,12 +52,14 @@ if TYPE_CHECKING:
 else:
     ScenarioEvent = Annotated[reduce(or_, SETTINGS), Field(discriminator="kind")]
 
-_FOLLOWS: Mapping[Verb, tuple[Collection[str], str]] = {
-    "kill": (("running", "stopped", "leaving"), "gone"),
+_FOLLOWS: Mapping[AnyVerb, tuple[Collection[str], str]] = {
+    "kill": (("running", "stopped", "leaving", "hung", "slow"), "gone"),
     "stop": (("running", "leaving"), "stopped"),
-    "continue": (("stopped",), "running"),
-    "leave": (("running",), "leaving"),
-    "start": (("gone", "stopped", "leaving", "running again"), "running"),
+    "hang": (("running", "leaving"), "hung"),
+    "slow": (("running",), "slow"),
+    "continue": (("stopped", "hung", "slow"), "running"),
+    "leave": (("running", "slow"), "leaving"),
+    "start": (("gone", "stopped", "leaving", "running again", "hung"), "running"),
 }
 """Which process a verb can be done to, and what that process is then. One that is leaving may have gone meanwhile."""
 
@@ -69,7 +73,7 @@ def check_events(
     slipped: set[str] = set()
     held = {strut: arm for strut, arm in enumerate(arms, start=1)}
     """Struts whose holders have not been disturbed yet."""
-    for number, event in sorted(enumerate(events), key=lambda each: each[1].at_s):
+    for number, event in sorted(_parts(events), key=lambda each: each[1].at_s):
         where = f"events.{number}"
         if event.at_s >= end_s:
             raise ValueError(f"{where}.at_s: {event.at_s:g} s is not before the run's end at {end_s:g} s")
@@ -149,9 +153,16 @@ def _check_push(push: Push, where: str, arms: Collection[str], end_s: float) -> 
             raise ValueError(f"{where}.{key}: means nothing for shape {push.shape!r}; expected shape {shape!r}")
 
 
-def in_order(events: Sequence[AnyEvent], period_ms: int) -> list[tuple[int, AnyEvent]]:
+def _parts(events: Sequence[AnyEvent]) -> Iterator[tuple[int, Whole]]:
+    """Every event with its number in the file; one that consists of several by these."""
+    for number, event in enumerate(events):
+        for part in event.parts() if isinstance(event, RestartStorm) else [event]:
+            yield number, part
+
+
+def in_order(events: Sequence[AnyEvent], period_ms: int) -> list[tuple[int, Whole]]:
     """Events with the tick before which they happen, in time; those of one time in the order of the file."""
     return sorted(
-        ((round(event.at_s * 1000 / period_ms), event) for event in events),
+        ((round(event.at_s * 1000 / period_ms), event) for _, event in _parts(events)),
         key=lambda each: each[0],
     )

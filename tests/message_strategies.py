@@ -121,7 +121,10 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
     ),
     "order": st.builds(Order, verb=st.sampled_from(["stop", "join"]), strut=integers),
     "deed": st.builds(
-        Deed, number=integers, verb=st.sampled_from(["kill", "stop", "continue", "start", "leave"]), agent=text()
+        Deed,
+        number=integers,
+        verb=st.sampled_from(["kill", "stop", "continue", "start", "leave", "hang", "slow"]),
+        agent=text(),
     ),
     "done": st.builds(Done, number=integers, problem=text(1000)),
 }
