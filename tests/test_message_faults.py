@@ -10,6 +10,7 @@ import pytest
 from bench import LOST_AFTER, TIMEOUT_S, Bench, MemoryAgent, silent
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from processes import read_events, read_json
 from test_happenings import Stage
 from test_realtime import RealBench
@@ -169,7 +170,7 @@ def test_spoiled_commands_are_refused_by_the_decoder_and_counted_with_its_reason
 
 
 def test_a_flipped_bit_is_one_bit_and_nothing_but_the_rules_decides_what_becomes_of_it() -> None:
-    command = encode(Command("a2", 7, 1, (0.5,) * 7, (0.0,) * 3, 0.0, (0.0,) * 7, 1))
+    command = encode(Command("a2", 7, 1, (0.5,) * 7, (0.0,) * 3, 0.0, (0.0,) * 7, 0.0, 0))
     edge, outcomes = Edge(2), set()
     edge.begin(fault("bit_flip"), None)
     for tick in range(300):
@@ -261,7 +262,7 @@ def test_the_edge_knows_which_states_the_shipped_follower_answers(
 
 
 def a_command(tick: int) -> bytes:
-    return encode(Command("a2", tick, 1, (0.0,) * 7, (0.0,) * 3, 0.0, (0.0,) * 7, 0))
+    return encode(Command("a2", tick, 1, (0.0,) * 7, (0.0,) * 3, 0.0, (0.0,) * 7, 0.0, 0))
 
 
 # The same again, and going on
@@ -281,6 +282,17 @@ def test_the_same_seed_does_the_same_and_another_another(kind: str) -> None:
         assert made(1) != made(2)
     if kind in ("loss", "truncate", "bit_flip", "nan", "wrong_arm", "duplicate"):
         assert made(1, 20) == made(1)[20:], "what a tick draws does not depend on the ticks before"
+
+
+@pytest.mark.parametrize("kind", ["truncate", "bit_flip", "nan", "wrong_arm"])
+def test_what_a_command_reports_of_wall_time_changes_nothing_of_what_a_fault_makes_of_it(kind: str) -> None:
+    made = []
+    for step_ns in (7, 300, 90_000, 20_000_000_000):
+        edge = Edge(1)
+        edge.begin(fault(kind), None)
+        command = structs.replace(decode(a_command(3), Command), step_ns=step_ns)
+        made.append([edge.receive("a2", tick, encode(command)) for tick in range(50)])
+    assert made[1:] == made[:1] * 3
 
 
 @settings(max_examples=40, deadline=None)
@@ -345,6 +357,26 @@ def test_a_run_that_was_killed_with_message_faults_goes_on_with_them_and_repeats
     assert len(bytes_) == 1
     seen = [each["event"] for each in read_events(tmp_path / "one") if each["kind"] == "seen" and each["tick"] >= 60]
     assert {"loss", "jitter", "bit_flip", "truncate"} == set(seen)
+
+
+NOTHING = [{"at_s": 0.010, "kind": "loss", "arm": "a1", "direction": "to", "probability": 1e-12}]
+
+
+@pytest.mark.parametrize(
+    ("events", "verdict"), [(FAULTS["events"], "violated"), ([*FAULTS["events"], *NOTHING], "unknown")]
+)
+def test_a_run_with_a_fault_that_was_not_seen_is_unknown_and_says_which(
+    events: list[dict[str, Any]], verdict: str, tmp_path: Path
+) -> None:
+    outcome = begin(tmp_path / "run", {"events": events})  # too short to come to its goal
+    assert outcome is not None
+    assert outcome.verdict == verdict
+    metrics = read_json(tmp_path / "run" / "metrics.json")
+    missing = [event["text"] for event in read_events(tmp_path / "run") if event["kind"] == "unproven"]
+    assert missing == read_json(tmp_path / "run" / "run.json")["unproven"] == metrics.get("why_unknown", [])
+    if verdict == "unknown":
+        assert missing == ["event 'loss' of a1 at 0.01 s was not seen to take effect"]
+        assert missing[0] in outcome.why
 
 
 # In real time

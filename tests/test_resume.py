@@ -391,8 +391,8 @@ def test_a_disk_that_is_full_ends_the_run_with_a_sentence_and_the_checkpoint_bef
 def test_another_version(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     latest = copy / STATE
     data = latest.read_bytes()
-    latest.write_bytes(data.replace(b"checkpoint 4 ", b"checkpoint 7 ", 1))
-    assert "version 7, expected 4" in refused(copy)
+    latest.write_bytes(data.replace(b"checkpoint 5 ", b"checkpoint 7 ", 1))
+    assert "version 7, expected 5" in refused(copy)
     latest.write_bytes(data)
     rewrite(copy, {"versions": {"palanquin": "0.1.0", "mujoco": "2.0"}})
     assert "install mujoco 2.0" in refused(copy)

@@ -81,6 +81,7 @@ class TruncateEffect(Corruption):
     done = "cut off"
 
     def act(self, payload: bytes, tick: int, rng: np.random.Generator) -> list[bytes] | None:
+        payload = timeless(payload)
         return [payload[: int(rng.integers(1, len(payload)))]] if len(payload) > 1 else None
 
 
@@ -89,6 +90,7 @@ class BitFlipEffect(Corruption):
     event: BitFlip
 
     def act(self, payload: bytes, tick: int, rng: np.random.Generator) -> list[bytes] | None:
+        payload = timeless(payload)
         places = rng.choice(8 * len(payload), size=min(self.event.bits, 8 * len(payload)), replace=False)
         spoiled = bytearray(payload)
         for place in places.tolist():
@@ -104,7 +106,7 @@ class NotANumberEffect(Corruption):
         if isinstance(message, State):
             return [encode(structs.replace(message, q=_with_nan(message.q, rng)))]
         if isinstance(message, Command):
-            return [encode(structs.replace(message, torque=_with_nan(message.torque, rng)))]
+            return [encode(structs.replace(message, torque=_with_nan(message.torque, rng), step_ns=0))]
         return None
 
 
@@ -113,8 +115,14 @@ class WrongArmEffect(Corruption):
     event: WrongArm
 
     def act(self, payload: bytes, tick: int, rng: np.random.Generator) -> list[bytes] | None:
-        message = _whole(payload)
+        message = _whole(timeless(payload))
         return None if message is None else [encode(structs.replace(message, arm=self.event.name))]
+
+
+def timeless(payload: bytes) -> bytes:
+    """A command without the wall time that it reports, whose size and bits no seed decides; anything else as it is."""
+    message = _whole(payload)
+    return encode(structs.replace(message, step_ns=0)) if isinstance(message, Command) else payload
 
 
 def _whole(payload: bytes) -> State | Command | None:
