@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 
 from deploy.hanging import CannotHang, hang, is_hung, let_go
 from deploy.starving import Starved
+from sim_server.process_deeds import SIM
 from wire.codec import decode, encode
 from wire.keys import Keys
 from wire.link import Link
@@ -32,6 +33,7 @@ class Doer:
         run: name of the run.
         find: the process of an agent.
         start: starts an agent's process anew.
+        restart_sim: kills the simulator and starts it again from its last checkpoint; what was in the way.
         shares: for each ``slow`` of the scenario, in order of time, the agent and its part of the time, 0 to 1.
     """
 
@@ -41,10 +43,11 @@ class Doer:
         run: str,
         find: Find,
         start: Callable[[str], None],
+        restart_sim: Callable[[], str],
         shares: Iterable[tuple[str, float]] = (),
     ) -> None:
         keys = Keys(run)
-        self._find, self._start = find, start
+        self._find, self._start, self._restart_sim = find, start, restart_sim
         self._shares = list(shares)
         self._starved: dict[str, Starved] = {}
         self._asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -59,7 +62,9 @@ class Doer:
                 deed = decode(self._asked.get(timeout=left), Deed)
             except queue.Empty:
                 return
-            self._report.put(encode(Done(deed.number, self._do(deed))))
+            problem = self._restart_sim() if deed.agent == SIM else self._do(deed)
+            if problem or deed.agent != SIM:  # who asked for its own death does not hear of it
+                self._report.put(encode(Done(deed.number, problem)))
 
     def _do(self, deed: Deed) -> str:
         """Do it; what was in the way, or nothing."""

@@ -5,20 +5,15 @@ that come. Every event is reported as ordered, and as seen to take effect.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
-from sim_server.faults.event import Event, Lasting, Seen
-from sim_server.faults.grasps import FailGrasp, GraspSlip
-from sim_server.faults.message import MessageEvent
-from sim_server.faults.physical import PhysicalEvent
-from sim_server.faults.processes import ToProcess
+from sim_server.faults.onset import Onset, Plant
+from sim_server.faults.processes import SimKill, ToProcess
 from sim_server.faults.proofs import Proofs
-from sim_server.faults.pushes import Push
-from sim_server.grasping import Closing
 from sim_server.lockstep import Ticker
 from sim_server.newcomers import CannotCome
-from sim_server.process_deeds import ProcessDeeds, Undone, undone
+from sim_server.process_deeds import SIM, ProcessDeeds, Undone, undone
 from sim_server.reception import Reception, Report
 from sim_server.scenario_events import AnyEvent, Join, Whole, in_order
 from sim_server.snapshot import Snapshot, SnapshotError
@@ -27,29 +22,6 @@ from wire.link import Publisher
 
 LEAD_S = 2.5
 """Simulated time before a newcomer's tick at which its world is begun and its agent started."""
-
-
-class Hands(Protocol):
-    """What has become of the plant's hands since it was last looked at."""
-
-    opened: list[str]
-    grasped: list[Closing]
-
-    def holds(self, arm: str) -> bool: ...
-
-
-class News(Protocol):
-    """What has been seen of events since it was last looked at."""
-
-    news: list[Seen]
-
-
-class Faults(News, Protocol):
-    """The plant's faults: see :class:`sim_server.faults.damage.Damage`."""
-
-    def begin(self, event: PhysicalEvent, tick: int, end: int | None) -> None: ...
-
-    def finish(self) -> None: ...
 
 
 class Arrivals(Protocol):
@@ -72,28 +44,6 @@ class Arrivals(Protocol):
     def cancel(self, arm: str, why: str) -> None: ...
 
 
-class Plant(Protocol):
-    """What the events need of the plant."""
-
-    @property
-    def hands(self) -> Hands: ...
-
-    @property
-    def disturbances(self) -> News: ...
-
-    @property
-    def damage(self) -> Faults: ...
-
-    @property
-    def names(self) -> list[str]: ...
-
-    def push(self, event: Push) -> None: ...
-
-    def loosen(self, arm: str, force_N: float) -> None: ...
-
-    def slip(self, arm: str) -> None: ...
-
-
 class Happenings:
     """The events of one run.
 
@@ -105,6 +55,7 @@ class Happenings:
         newcomers: those who come.
         waits: whether the clock stands until a newcomer is there (lock-step), or it comes when it is ready.
         ticks: of the whole run.
+        save: waits until the last checkpoint is on the disk.
     """
 
     def __init__(
@@ -121,7 +72,9 @@ class Happenings:
         newcomers: Arrivals,
         waits: bool,
         ticks: int,
+        save: Callable[[], None] = lambda: None,
     ) -> None:
+        self._save = save
         self._newcomers, self._waits, self._ticks = newcomers, waits, ticks
         self._unforeseen: set[str] = set()
         """Robots that no scenario has."""
@@ -130,38 +83,24 @@ class Happenings:
         up."""
         self._prepared: dict[str, int] = {}
         """Newcomers that are prepared for, each with the number of its deed, or 0."""
-        self._due = in_order(events, period_ms)
-        self.proofs = Proofs(event for _, event in self._due)
-        self._reception, self._clock, self._plant = reception, clock, plant
-        self._report = report
+        self._all = in_order(events, period_ms)
+        self._due = list(self._all)
+        self.proofs = Proofs(event for _, event in self._all)
+        self._onset = Onset(clock, plant, report, period_ms=period_ms, proofs=self.proofs)
+        self._reception, self._clock, self._report = reception, clock, report
         self._deeds = ProcessDeeds(
             reception, clock, publisher, report, start_s=start_s, waits=waits, proofs=self.proofs
         )
         self._period_ms, self._start_s = period_ms, start_s
-        self._slips: list[tuple[int, str]] = []
-        self._letting_go: list[GraspSlip] = []
-        """Hands that were made to let go, and whose end has not been seen."""
 
     def before(self, tick: int) -> None:
         """Do what is due before this tick. Raises :class:`Undone`, and :class:`sim_server.lockstep.Stopped`."""
-        hands = self._plant.hands
-        self._clock.edge.settle(tick)
-        self._tell_news()
-        while hands.opened:
-            self._report("hand_opened", agent=hands.opened.pop(0))
-        while hands.grasped:
-            closed = hands.grasped.pop(0)
-            self._report("grasped", agent=closed.arm, closed_at_tick=closed.tick, force_max_N=closed.force_max_N)
+        self._onset.look(tick)
         self._deeds.look()
         self._take_orders(tick)
         self._prepare(tick)
         self._newcomers.advance()
-        while self._slips and self._slips[0][0] <= tick:
-            _, arm = self._slips.pop(0)
-            if hands.holds(arm):
-                self._plant.slip(arm)
-                self._report("seen", event="fail_grasp", agent=arm, effect="the hand has slipped off")
-        self._look_at_hands()
+        self._onset.slip(tick)
         self._let_late_ones_come()
         while self._due and self._due[0][0] <= tick:
             _, event = self._due.pop(0)
@@ -177,61 +116,27 @@ class Happenings:
         self.proofs.order(event)
         if isinstance(event, ToProcess):
             self._deeds.do(event)
-            return
-        self._report("ordered", event=event.kind, **_target(event))
-        if isinstance(event, Push):
-            self._check_is_there(event)
-            self._plant.push(event)
-        elif isinstance(event, MessageEvent):
-            self._clock.edge.begin(event, self._end_tick(event))
-        elif isinstance(event, PhysicalEvent):
-            self._check_is_there(event)
-            self._plant.damage.begin(event, tick, self._end_tick(event))
-        elif isinstance(event, FailGrasp):
-            self._check_holds(event)
-            self._plant.loosen(event.arm, event.force_N)
-            self._slips = sorted([*self._slips, (tick + round(event.for_s * 1000 / self._period_ms), event.arm)])
-            self._see(Seen(event, "the hand holds badly"))
-        elif isinstance(event, GraspSlip):
-            self._check_holds(event)
-            self._plant.slip(event.arm)
-            self._letting_go.append(event)
+        elif isinstance(event, SimKill):
+            self._save()  # so that it is certain from where the next one goes on
+            self._deeds.die(event)
+        elif not isinstance(event, Join):
+            self._onset.begin(tick, event)
 
-    def _check_is_there(self, event: Push | Lasting) -> None:
-        if event.arm is not None and event.arm not in self._plant.names:
-            raise undone(event, "its robot is not there")
-
-    def _check_holds(self, event: FailGrasp | GraspSlip) -> None:
-        if not self._plant.hands.holds(event.arm):
-            raise undone(event, "its hand holds nothing")
-
-    def _end_tick(self, event: Lasting) -> int | None:
-        """The tick from which on it is over."""
-        return None if event.for_s is None else round((event.at_s + event.for_s) * 1000 / self._period_ms)
-
-    def _look_at_hands(self) -> None:
-        """Report those that were made to let go and have."""
-        for event in [each for each in self._letting_go if not self._plant.hands.holds(each.arm)]:
-            self._letting_go.remove(event)
-            self._see(Seen(event, "the hand holds nothing"))
-
-    def _tell_news(self) -> None:
-        for news in (self._plant.disturbances.news, self._plant.damage.news, self._clock.edge.news):
-            while news:
-                self._see(news.pop(0))
-
-    def _see(self, seen: Seen) -> None:
-        if seen.proves:
-            self.proofs.see(seen.event)
-        self._report("seen", event=seen.event.kind, **_target(seen.event), effect=seen.effect)
+    def survive(self, deaths: int, tick: int) -> None:
+        """The simulator has been killed by so many events, and has gone on from this tick: they do not happen again."""
+        kills = [event for _, event in self._all if isinstance(event, SimKill)][:deaths]
+        self._due = [(due, event) for due, event in self._due if event not in kills]
+        for event in kills:
+            self.proofs.order(event)
+            self.proofs.see(event)
+        if kills:
+            effect = f"another simulator goes on from tick {tick}"
+            self._report("seen", event=kills[-1].kind, agent=SIM, effect=effect)
 
     def finish(self) -> None:
         """The run has come to its end: tell what is to be told of what went on until then. Raises :class:`Undone`."""
         self._deeds.look()
-        self._look_at_hands()
-        self._clock.edge.finish()
-        self._plant.damage.finish()
-        self._tell_news()
+        self._onset.finish()
 
     def _take_orders(self, tick: int) -> None:
         """Robots that the operator wants and nobody foresaw."""
@@ -328,15 +233,14 @@ class Happenings:
 
     def state(self) -> Snapshot:
         """How many of the scenario's events are still to come, the robots that somebody wants, those that are late, the
-        hands that will slip off, and the deeds."""
+        faults, and the deeds."""
         wanted = [(tick, event) for tick, event in self._due if isinstance(event, Join) and self._is_unforeseen(event)]
         return {
             "due": len(self._due) - len(wanted),
             "wanted": [[tick, event.arm, event.strut] for tick, event in wanted],
             "late": [[event.arm, event.strut, self._is_unforeseen(event)] for _, event in self._late],
             "orders": list(self._clock.wanted),
-            "slips": [list(slip) for slip in self._slips],
-            "letting_go": [[event.at_s, event.arm] for event in self._letting_go],
+            "onset": self._onset.state(),
             "deeds": self._deeds.state(),
             "proofs": self.proofs.state(),
         }
@@ -354,20 +258,9 @@ class Happenings:
             if not unforeseen:
                 self._unforeseen.discard(event.arm)
         self._clock.wanted[:] = map(int, saved["orders"])
-        self._slips = [(int(tick), str(arm)) for tick, arm in saved["slips"]]
-        self._letting_go = [
-            GraspSlip(kind="grasp_slip", at_s=float(at_s), arm=str(arm)) for at_s, arm in saved["letting_go"]
-        ]
+        self._onset.restore(saved["onset"])
         self._deeds.restore(saved["deeds"])
         self.proofs.restore(saved["proofs"])
 
     def _is_unforeseen(self, event: Join) -> bool:
         return event.arm in self._unforeseen
-
-
-def _target(event: Event) -> dict[str, str]:
-    """Whom an event is on, for the events' file."""
-    if isinstance(event, Push) and event.arm is None:
-        return {"point": event.point or "centre_of_mass"}
-    whom = {"agent": str(arm)} if (arm := getattr(event, "arm", None)) else {"point": "load"}
-    return whom | {"direction": event.direction} if isinstance(event, MessageEvent) else whom

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from sim_server.errors import SimError
 from sim_server.faults.event import Event
-from sim_server.faults.processes import AnyVerb, ProcessEvent, ToProcess
+from sim_server.faults.processes import AnyVerb, ProcessEvent, SimKill, ToProcess
 from sim_server.faults.proofs import Proofs, describe
 from sim_server.lockstep import Ticker
 from sim_server.reception import Agent, Reception, Report
@@ -28,6 +28,9 @@ DEED_S = 20.0
 """Wall time that a deed may take until it is seen; a start has the scenario's start timeout."""
 NOBODY_S = 3.0
 """Wall time in which the launcher must be listening: it is there before the first tick."""
+
+SIM = "sim"
+"""The simulator, among those to whom something is done."""
 
 
 class Undone(SimError):
@@ -89,6 +92,14 @@ class ProcessDeeds:
             self._send_away(event)
         else:
             self._seen(event, self._do(event))
+
+    def die(self, event: SimKill) -> None:
+        """Ask for the death of this very process, and wait for it. Raises :class:`Undone`: it has not come."""
+        self._report("ordered", event=event.kind, agent=SIM)
+        self._wait_for_somebody(event)
+        number, done = self.order(SIM, "kill"), self._clock.done
+        self.wait(lambda: number in done, event, "this process is still there", DEED_S)
+        raise undone(event, done[number] or "the launcher says so, but this process is still there")
 
     def look(self) -> None:
         """Report those who were told to leave and have gone since. Raises :class:`Undone` if one only says so."""
@@ -161,7 +172,7 @@ class ProcessDeeds:
     def _wait_until_dead(self, agent: Agent, event: ToProcess, seconds: float) -> None:
         self.wait(lambda: not agent.alive, event, "its sign of life is still there", seconds)
 
-    def _ask(self, event: ToProcess, seconds: float) -> None:
+    def _wait_for_somebody(self, event: Event) -> None:
         self.wait(
             self._publisher.matched,
             event,
@@ -169,6 +180,9 @@ class ProcessDeeds:
             "without such events",
             NOBODY_S,
         )
+
+    def _ask(self, event: ToProcess, seconds: float) -> None:
+        self._wait_for_somebody(event)
         number = self.order(event.agent, event.kind)
         done = self._clock.done
         self.wait(lambda: number in done, event, "the launcher has not reported it", seconds)

@@ -67,6 +67,11 @@ class RunFolder:
         os.replace(part, file)
         self._events = file.open("a", encoding="utf-8")
 
+    def times(self, kind: str, event: str) -> int:
+        """How often the events' file tells that of an event of the scenario, what was undone included."""
+        lines = (self.path / EVENTS).read_text(encoding="utf-8").splitlines()
+        return sum((found := json.loads(line))["kind"] == kind and found.get("event") == event for line in lines)
+
     def events_bytes(self) -> int:
         """How long the events file is now."""
         return os.fstat(self._events.fileno()).st_size
@@ -210,7 +215,7 @@ def compute_metrics(path: Path) -> tuple[dict[str, Any], tuple[Judged, ...]]:
             )
         )
         metrics |= {name: value for name, value in run["measured"].items() if name not in metrics}
-        completed, why = bool(run["ended"]["completed"]), str(run["ended"]["why"])
+        completed, why = bool(run["ended"]["completed"]), str(run["ended"].get("why", ""))
         unproven = [str(each) for each in run.get("unproven", [])]
     # An edited or cut-off folder can fail in any of these ways; each means the same.
     except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:

@@ -247,7 +247,14 @@ class Scenario(Section):
             raise ValueError(f"load.struts: {self.load.struts}, but one hand holds a block: expected 1")
         self._check_stops()
         self._check_fixed()
-        check_events(self.events, self.arms, self.leader is not None, self.duration_s, self.load.struts)
+        check_events(
+            self.events,
+            self.arms,
+            self.leader is not None,
+            self.duration_s,
+            self.load.struts,
+            self.record.checkpoint_s,
+        )
         return self
 
     def _check_stops(self) -> None:

@@ -7,6 +7,7 @@ anything runs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import reduce
 from operator import or_
@@ -18,7 +19,7 @@ from sim_server.faults.event import Event, Lasting
 from sim_server.faults.grasps import FailGrasp, GraspSlip
 from sim_server.faults.message import MessageEvent
 from sim_server.faults.physical import PhysicalEvent
-from sim_server.faults.processes import AnyVerb, RestartStorm, ToProcess
+from sim_server.faults.processes import AnyVerb, RestartStorm, SimKill, ToProcess
 from sim_server.faults.pushes import Push
 from sim_server.faults.registry import FAULTS
 
@@ -36,8 +37,8 @@ class Join(Event):
     """Number of the strut, from 1; arm ``ak`` of the team starts at strut k."""
 
 
-AnyEvent = ToProcess | RestartStorm | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
-Whole = ToProcess | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
+AnyEvent = ToProcess | RestartStorm | SimKill | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
+Whole = ToProcess | SimKill | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
 """Those that do not consist of others."""
 
 SETTINGS: tuple[type[Event], ...] = tuple(dict.fromkeys((*(fault.settings for fault in FAULTS), Join)))
@@ -65,7 +66,12 @@ _FOLLOWS: Mapping[AnyVerb, tuple[Collection[str], str]] = {
 
 
 def check_events(
-    events: Sequence[AnyEvent], arms: Collection[str], has_leader: bool, end_s: float, struts: int = 16
+    events: Sequence[AnyEvent],
+    arms: Collection[str],
+    has_leader: bool,
+    end_s: float,
+    struts: int = 16,
+    checkpoint_s: float = 1.0,
 ) -> None:
     """Raise ``ValueError`` with ``key: what is wrong`` for the first event that cannot happen."""
     agents = [*arms, "leader"] if has_leader else list(arms)
@@ -77,6 +83,9 @@ def check_events(
         where = f"events.{number}"
         if event.at_s >= end_s:
             raise ValueError(f"{where}.at_s: {event.at_s:g} s is not before the run's end at {end_s:g} s")
+        if isinstance(event, SimKill):
+            _check_sim_kill(event, where, events, process, checkpoint_s)
+            continue
         if isinstance(event, Join):
             if event.arm in process:
                 raise ValueError(
@@ -117,6 +126,26 @@ def check_events(
                 f"{event.kind!r} expects it to be {' or '.join(before)}"
             )
         process[event.agent] = "running again" if event.kind == "continue" else after
+
+
+def _check_sim_kill(
+    event: SimKill, where: str, events: Sequence[AnyEvent], process: Mapping[str, str], checkpoint_s: float
+) -> None:
+    """Everybody who was in at the last checkpoint must be there to greet the next simulator, as they were then."""
+    if not checkpoint_s:
+        raise ValueError(f"{where}.kind: 'sim_kill', but record.checkpoint_s = 0: there is nothing to go on from")
+    if any(isinstance(each, Join) for each in events):
+        raise ValueError(f"{where}.kind: 'sim_kill' in a scenario in which robots come: expected one or the other")
+    for agent, is_ in process.items():
+        if is_ in ("stopped", "hung", "leaving"):
+            raise ValueError(f"{where}.at_s: {agent} is {is_} at {event.at_s:g} s and cannot greet the next simulator")
+    since_s = checkpoint_s * math.floor(event.at_s / checkpoint_s + 1e-9)
+    for number, each in _parts(events):
+        if isinstance(each, ToProcess) and since_s <= each.at_s <= event.at_s:
+            raise ValueError(
+                f"{where}.at_s: events.{number} happens to {each.agent} between the last checkpoint, at {since_s:g} s, "
+                f"and the simulator's death at {event.at_s:g} s; expected none, since those ticks are run again"
+            )
 
 
 def _check_arm(arm: str, where: str, arms: Collection[str]) -> None:

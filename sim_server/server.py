@@ -135,6 +135,7 @@ class Server:
             newcomers=self._newcomers,
             waits=self._scenario.clock.mode == "lock-step",
             ticks=self._scenario.ticks,
+            save=self._disk.wait,
         )
         self._start_wall = 0.0
         self._last_progress = 0.0
@@ -194,6 +195,7 @@ class Server:
         leases = {name: agent.link.lease for name, agent in self._reception.agents.items()}
         self._auditor.go_on(self._plant.time_s, leases)
         self._report("resumed", at=self._checkpoints.story.resumed[-1]["at"])
+        self._happenings.survive(self._folder.times("ordered", "sim_kill"), self._plant.tick)
 
     def _open_trace(self, segments: Sequence[Segment] = ()) -> TraceWriter:
         scenario = self._scenario

@@ -128,3 +128,26 @@ def test_a_slow_process_leaves_no_trace_and_the_same_faults_the_same(told: Path,
         np.testing.assert_array_equal(here[name][:HUNG_AT], there[name][:HUNG_AT], err_msg=name)
     assert last_words(told)["loss"] == last_words(folder)["loss"]
     assert last_words(told)["slow"] == "the kernel has stopped it and let it go on, again and again"
+
+
+def test_a_simulator_that_is_killed_goes_on_from_its_checkpoint_with_agents_and_faults(tmp_path: Path) -> None:
+    kill = '[[events]]\nat_s = 0.15\nkind = "sim_kill"\n'
+    checkpoints = SCENARIO.replace("every_ticks = 1", "every_ticks = 1\ncheckpoint_s = 0.1")
+    path = tmp_path / "story.toml"
+    path.write_text(checkpoints.replace("duration_s = 0.5", "duration_s = 0.3") + kill)
+    with launched(str(path), tmp_path, {}) as run:
+        assert run.command.end() == 0
+        run.command.look()
+        assert run.command.survivors() == []
+    events = [(each["tick"], each["kind"], each.get("agent")) for each in read_events(run.folder)]
+    assert [each for each in events if each[1] in ("ordered", "resumed", "seen")] == [
+        (150, "ordered", "sim"),
+        (100, "resumed", None),
+        (100, "seen", "sim"),
+    ]
+    assert [each for each in events if each[:2] == (100, "joined")] != [], "the same processes have greeted again"
+    pids = {each["pid"] for each in read_events(run.folder) if each["kind"] == "joined"}
+    assert len(pids) == 2
+    np.testing.assert_array_equal(read_trace(run.folder / "trace.parquet")["tick"], np.arange(300))
+    assert read_json(run.folder / "run.json")["unproven"] == []
+    assert sorted(path.name for path in (run.folder / "logs").glob("sim*")) == ["sim.2.log", "sim.log"]

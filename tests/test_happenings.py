@@ -15,7 +15,7 @@ from sim_server.errors import ScenarioError
 from sim_server.faults.event import Seen
 from sim_server.faults.grasps import FailGrasp
 from sim_server.faults.physical import PhysicalEvent
-from sim_server.faults.processes import ProcessEvent, RestartStorm, Verb
+from sim_server.faults.processes import ProcessEvent, RestartStorm, SimKill, Verb
 from sim_server.faults.pushes import Push
 from sim_server.grasping import Closing
 from sim_server.happenings import Arrivals, Happenings
@@ -41,6 +41,10 @@ def push(**changes: Any) -> dict[str, Any]:
     """A push on the load, as a file has it."""
     given = {"at_s": 1.0, "kind": "push", "point": "front", "for_s": 2.0, "force_N": [50.0, 0.0, 0.0], **changes}
     return {key: value for key, value in given.items() if value is not None}
+
+
+JOIN_A5 = {"at_s": 9.0, "kind": "join", "arm": "a5", "strut": 4}
+SIM_KILL = {"at_s": 1.5, "kind": "sim_kill"}
 
 
 def message(**changes: Any) -> dict[str, Any]:
@@ -94,6 +98,21 @@ def message(**changes: Any) -> dict[str, Any]:
         ),
         ([{"at_s": 1.0, "kind": "floor_step", "arm": "a1", "height_mm": 0.0}], "events.0.height_mm", ("step up",)),
         ([{"at_s": 1.0, "kind": "added_mass", "arm": "a1"}], "events.0.arm", ("None",)),
+        (
+            [SIM_KILL, {"at_s": 1.2, "kind": "kill", "agent": "a1"}],
+            "events.0.at_s",
+            ("events.1", "at 1 s", "run again"),
+        ),
+        ([{"at_s": 0.5, "kind": "hang", "agent": "a1"}, SIM_KILL], "events.1.at_s", ("a1 is hung", "cannot greet")),
+        (
+            [
+                {"at_s": 0.5, "kind": "kill", "agent": "a4"},
+                {"at_s": 9.0, "kind": "join", "arm": "a5", "strut": 4},
+                SIM_KILL,
+            ],
+            "events.2.kind",
+            ("robots come",),
+        ),
         ([{"at_s": 1.0, "kind": "slow", "agent": "a1", "share_percent": 0.0}], "events.0.share_percent", ("5",)),
         ([{"at_s": t, "kind": "grasp_slip", "arm": "a1"} for t in (1.0, 3.0)], "events.1.arm", ("before",)),
         ([{"at_s": 1.0, "kind": "join", "arm": "a5", "strut": 4, "agent": "a1"}], "events.0.agent", ("unknown key",)),
@@ -375,6 +394,28 @@ def test_a_restart_storm_is_its_kills_and_starts_each_seen() -> None:
             False,
             1.0,
         )
+
+
+def test_a_simulator_asks_for_its_own_death_once_and_the_next_one_knows_that_it_has_had_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(process_deeds, "DEED_S", 0.05)
+    kills = [SimKill(kind="sim_kill", at_s=at_s) for at_s in (0.002, 0.006)]
+    first, second = Stage(*kills), Stage(*kills)
+    first.do = lambda deed: ""
+    saved = unpack(pack(first.happenings.state()))
+    with pytest.raises(Undone, match=r"'sim_kill' of the simulator at 0\.002 s was not done: .* still there"):
+        first.run(3)
+    assert [(deed.verb, deed.agent) for deed in first.deeds] == [("kill", "sim")]
+    second.do = lambda deed: ""
+    second.happenings.restore(saved)
+    second.happenings.survive(1, 0)
+    assert second.run(6) < TIMEOUT_S
+    assert second.deeds == []
+    assert second.reported("seen") == [("sim_kill", "sim")]
+    assert len(second.happenings.proofs.missing()) == 1
+    with pytest.raises(Undone, match=r"0\.006 s"):
+        second.run(1)
 
 
 def test_the_transport_giving_a_stopped_agent_up_does_not_change_when_it_is_lost() -> None:

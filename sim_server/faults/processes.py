@@ -62,6 +62,12 @@ class RestartStorm(Event):
         ]
 
 
+class SimKill(Event):
+    """The simulator is killed; the launcher starts it again from its last checkpoint, and all agents greet it anew."""
+
+    kind: Literal["sim_kill"]
+
+
 FAULTS = (
     Fault("kill", "process", ProcessEvent, "SIGKILL to the agent's process", "its sign of life is gone"),
     Fault("stop", "process", ProcessEvent, "SIGSTOP to all of it", "the kernel has stopped all of it"),
@@ -101,4 +107,11 @@ FAULTS = (
         "each kill and each start, as above",
     ),
     Fault("leave", "process", ProcessEvent, "SIGTERM: the agent leaves in order", "it has said goodbye and is gone"),
+    Fault(
+        "sim_kill",
+        "process",
+        SimKill,
+        "SIGKILL to the simulator; the launcher starts it again, from its last checkpoint",
+        "another simulator goes on, from which tick",
+    ),
 )

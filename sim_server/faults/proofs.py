@@ -7,6 +7,9 @@ from collections.abc import Iterable
 from sim_server.faults.event import Event
 from sim_server.snapshot import Snapshot, SnapshotError
 
+OTHERS = {"sim_kill": "the simulator"}
+"""Whom events are on that name nobody; all others are on the load."""
+
 
 class Proofs:
     """The events of one run, each with whether it was ordered and whether its effect was seen.
@@ -57,5 +60,5 @@ class Proofs:
 
 def describe(event: Event) -> str:
     """An event in words: its kind, on whom, and when."""
-    whom = getattr(event, "agent", None) or getattr(event, "arm", None) or "the load"
+    whom = getattr(event, "agent", None) or getattr(event, "arm", None) or OTHERS.get(event.kind, "the load")
     return f"event {event.kind!r} of {whom} at {event.at_s:g} s"
