@@ -2,7 +2,8 @@
 
 An agent whose sign of life goes is lost at once. One that stays silent for ``answer_timeout_s`` has missed the tick;
 while it stays silent it is not waited for again, so that a hung agent costs that time once, and after
-``missed_ticks_until_lost`` missed ticks in a row it is lost.
+``missed_ticks_until_lost`` missed ticks in a row it is lost. Where a message fault takes an answer away, the tick is
+missed at once (:mod:`sim_server.faults.edge`).
 """
 
 from __future__ import annotations
