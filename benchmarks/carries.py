@@ -28,9 +28,9 @@ from rich.table import Table
 
 from agents.safety import SafeController
 from sim_server.errors import PlantFailed
+from sim_server.faults.pushes import Push
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scenario import Scenario
-from sim_server.scenario_events import Push
 from sim_server.scenario_files import load_scenario
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
-"""Deeds done for a scenario's events: kill, stop, continue and start, each confirmed; and leave, which takes an agent
-simulated time and is therefore only asked for. Here to processes of this machine; deploy/docker_engine.py does them to
-containers."""
+"""Deeds done for a scenario's events: kill, stop, hang, slow, continue and start, each confirmed; and leave, which takes an
+agent simulated time and is therefore only asked for. Here to processes of this machine; deploy/docker_engine.py does
+them to containers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import queue
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
+from deploy.hanging import CannotHang, hang, is_hung, let_go
+from deploy.starving import Starved
+from sim_server.process_deeds import SIM
 from wire.codec import decode, encode
 from wire.keys import Keys
 from wire.link import Link
@@ -29,10 +32,10 @@ class Doer:
     Args:
         link: the operator's.
         run: name of the run.
-        do: does a deed, and tells what was in the way, or nothing.
+        do: does a deed, and tells what was in the way, or nothing; None if nobody is left who would hear it.
     """
 
-    def __init__(self, link: Link, run: str, do: Callable[[Deed], str]) -> None:
+    def __init__(self, link: Link, run: str, do: Callable[[Deed], str | None]) -> None:
         keys = Keys(run)
         self._do = do
         self._asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -47,7 +50,9 @@ class Doer:
                 deed = decode(self._asked.get(timeout=left), Deed)
             except queue.Empty:
                 return
-            self._report.put(encode(Done(deed.number, self._do(deed))))
+            problem = self._do(deed)
+            if problem is not None:
+                self._report.put(encode(Done(deed.number, problem)))
 
 
 class Processes:
@@ -56,14 +61,31 @@ class Processes:
     Args:
         find: the process of an agent.
         start: starts an agent's process anew.
+        restart_sim: kills the simulator and starts it again from its last checkpoint; what was in the way.
+        shares: for each ``slow`` of the scenario, in order of time, the agent and its part of the time, 0 to 1.
     """
 
-    def __init__(self, find: Find, start: Callable[[str], None]) -> None:
-        self._find, self._start = find, start
+    def __init__(
+        self,
+        find: Find,
+        start: Callable[[str], None],
+        restart_sim: Callable[[], str],
+        shares: Iterable[tuple[str, float]] = (),
+    ) -> None:
+        self._find, self._start, self._restart_sim = find, start, restart_sim
+        self._shares = list(shares)
+        self._starved: dict[str, Starved] = {}
 
-    def do(self, deed: Deed) -> str:
-        """Do it; what was in the way, or nothing."""
+    def do(self, deed: Deed) -> str | None:
+        """Do it; what was in the way, or nothing. None if the simulator is no more: who asked for its own death does
+        not hear of it."""
+        if deed.agent == SIM:
+            return self._restart_sim() or None
         process = self._find(deed.agent)
+        if deed.agent in self._starved:
+            self._starved.pop(deed.agent).end()
+            if deed.verb == "continue":
+                return ""
         if deed.verb == "start":
             if process is not None and process.poll() is None:
                 process.kill()
@@ -75,6 +97,17 @@ class Processes:
             return ""
         if process is None or process.poll() is not None:
             return "its process has ended already"
+        if deed.verb == "slow":
+            return self._slow(deed.agent, process)
+        try:
+            if deed.verb == "hang":
+                hang(process.pid, CONFIRM_S)
+                return ""
+            if deed.verb == "continue" and is_hung(process.pid):
+                let_go(process.pid)
+                return ""
+        except CannotHang as error:
+            return f"its control loop cannot be stopped or let go: {error}"
         number = {
             "kill": signal.SIGKILL,
             "stop": signal.SIGSTOP,
@@ -91,6 +124,21 @@ class Processes:
         except subprocess.TimeoutExpired:
             return f"it has not ended {CONFIRM_S:g} s after {number.name}"
         return ""
+
+    def _slow(self, agent: str, process: subprocess.Popen[bytes]) -> str:
+        share = next((each for each in self._shares if each[0] == agent), None)
+        if share is None:
+            return "the scenario says nothing of its share of the time"
+        self._shares.remove(share)
+        self._starved[agent] = Starved(process, share[1])
+        if not self._starved[agent].is_seen(CONFIRM_S):
+            return f"the kernel has not shown it stopped and going on in {CONFIRM_S:g} s"
+        return ""
+
+    def end(self) -> None:
+        """Nobody is starved any more, so that all can obey a signal."""
+        while self._starved:
+            self._starved.popitem()[1].end()
 
 
 def _changed(pid: int, options: int) -> str:

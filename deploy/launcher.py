@@ -20,6 +20,7 @@ from pathlib import Path
 from deploy.deeds import Doer, Processes
 from deploy.mailbox import Mailbox
 from deploy.room import Rooms, room_environment
+from sim_server.faults.processes import SimKill, Slow
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario, arm_number
 from wire.access import Role
@@ -108,6 +109,7 @@ class Launcher:
         self._logs = folder / LOGS
         self._rooms = Rooms()
         self._mailbox: Mailbox | None = None
+        self._processes: Processes | None = None
 
     def start(self) -> None:
         """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
@@ -124,8 +126,14 @@ class Launcher:
         if self._scenario.leader is not None:
             agents[Role.LEADER] = ["leader", *leader_arguments(self._scenario)]
         for name, arguments in agents.items():
-            # Who restarts a simulator here is nobody: without it the run is over.
-            self._agents[str(name)] = [*arguments, *common, "--connect", self._endpoint, "--reconnect-s", "0"]
+            self._agents[str(name)] = [
+                *arguments,
+                *common,
+                "--connect",
+                self._endpoint,
+                "--reconnect-s",
+                self._reconnect_s(),
+            ]
             if name not in self._scenario.arms and name != Role.LEADER:
                 continue  # it comes later
             self._start_agent(str(name))
@@ -149,6 +157,24 @@ class Launcher:
         except subprocess.TimeoutExpired:
             return f"the recorder has not ended {RECORDED_S:g} s after the simulator"
         return f"the recorder: {child.last_words()}" if status else ""
+
+    def _reconnect_s(self) -> str:
+        """How long agents wait for a simulator that is gone: not at all, as without it the run is over, but where the
+        scenario has it killed and started again."""
+        is_killed = any(isinstance(event, SimKill) for event in self._scenario.events)
+        return repr(self._scenario.clock.start_timeout_s) if is_killed else "0"
+
+    def _restart_sim(self) -> str:
+        """Kill the simulator, and have another go on from its last checkpoint. What was in the way, or nothing."""
+        self.sim.process.kill()
+        self.sim.process.wait(TERM_S)
+        access, secret = self._sim_access()
+        place = ["--resume", str(self._folder), "--listen", self._endpoint]
+        try:
+            self._spawn("sim", ["sim", "--run", self._run, "--with-parent", *place, *access], secret)
+        except OSError as error:
+            return f"no simulator could be started: {error}"
+        return ""
 
     def _start_agent(self, name: str) -> None:
         """Start an agent's process, for the first time or again: with the same credential, in a room of its own."""
@@ -198,8 +224,8 @@ class Launcher:
 
     @property
     def sim(self) -> Child:
-        """The simulator's process."""
-        return self._children[0]
+        """The simulator's process: the newest, if it was killed and started again."""
+        return next(child for child in reversed(self._children) if child.name == "sim")
 
     def watch(self, link: Link, show: Show) -> Ended:
         """Show progress until the simulator ends, or until an agent fails before the first tick.
@@ -210,7 +236,10 @@ class Launcher:
         started = False
         news: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         link.subscribe(Keys(self._run).progress, news.put)
-        doer = Doer(link, self._run, Processes(self._process_of, self._start_agent).do)
+        slowed = sorted((event for event in self._scenario.events if isinstance(event, Slow)), key=lambda e: e.at_s)
+        shares = [(event.agent, event.share_percent / 100) for event in slowed]
+        self._processes = Processes(self._process_of, self._start_agent, self._restart_sim, shares)
+        doer = Doer(link, self._run, self._processes.do)
         orders = link.publisher(Keys(self._run).order)
         self._mailbox = Mailbox(self._folder)
         while self.sim.process.poll() is None:
@@ -248,6 +277,8 @@ class Launcher:
 
     def end_all(self) -> None:
         """End every process that is left: politely, then for good."""
+        if self._processes is not None:
+            self._processes.end()
         for signal_number, patience_s in ((signal.SIGTERM, TERM_S), (signal.SIGKILL, TERM_S)):
             alive = [child for child in self._children if child.process.poll() is None]
             for child in alive:

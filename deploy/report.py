@@ -29,8 +29,8 @@ class PatientConsole(Console):
         raise SystemExit(COULD_NOT_RUN)
 
 
-NOT_SHOWN = ("verdict", "tick_parts_us", "tick_late_histogram_us")
-"""In metrics.json only: too long for a line."""
+NOT_SHOWN = ("verdict", "why_unknown", "tick_parts_us", "tick_late_histogram_us")
+"""Too long for a line of the table, or below it."""
 VERDICT_STYLE = {"holds": "green", "violated": "bold red", "unknown": "yellow"}
 
 
@@ -108,6 +108,8 @@ def print_metrics(console: Console, metrics: Mapping[str, Any], judged: Sequence
     console.print(table)
     verdict = metrics["verdict"]
     console.print(f"verdict: [{VERDICT_STYLE[verdict]}]{verdict}[/]")
+    for why in metrics.get("why_unknown", ()):
+        console.print(f"  {escape(why)}", soft_wrap=True, highlight=False)
 
 
 def _in_time(ages: Mapping[str, Mapping[str, int]]) -> str:

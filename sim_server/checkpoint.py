@@ -117,6 +117,7 @@ class Checkpoints:
                 "agents": owners.reception.state(),
                 "tallies": owners.reception.tallies.state(),
                 "punctuality": owners.clock.punctuality.state(),
+                "edge": owners.clock.edge.state(),
                 "happenings": owners.happenings.state(),
             }
         )
@@ -142,6 +143,7 @@ class Checkpoints:
                     owners.invite(agent)
             owners.reception.restore(content["agents"])
             owners.clock.punctuality.restore(content["punctuality"])
+            owners.clock.edge.restore(content["edge"])
             owners.happenings.restore(content["happenings"])
             owners.clock.timings.restore(content["timings"])
             now, plant = datetime.now(UTC).isoformat(timespec="seconds"), owners.plant

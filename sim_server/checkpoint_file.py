@@ -25,7 +25,7 @@ from sim_server.snapshot import Snapshot, unpack
 from wire.errors import Refused
 
 FOLDER, STATE = "checkpoint", ".state"
-VERSION = 4
+VERSION = 5
 """Of what is in it; any change of a ``state()`` raises it."""
 HEAD = "palanquin checkpoint"
 MUST_BE_EQUAL = ("palanquin", "mujoco")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sim_server.faults.edge import Edge
 from sim_server.lockstep import LockStep, Ticker
 from sim_server.plant import Plant
 from sim_server.realtime import RealTime
@@ -14,8 +15,9 @@ def make_clock(scenario: Scenario, reception: Reception, plant: Plant, report: R
     settings, leader = scenario.clock, scenario.leader
     period_ns = settings.control_period_ms * 1_000_000
     leader_every = leader.period_ms // settings.control_period_ms if leader else 1
+    edge = Edge(scenario.seed)
     if settings.mode == "real-time":
-        return RealTime(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report)
+        return RealTime(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report, edge=edge)
     return LockStep(
         reception,
         plant,
@@ -23,4 +25,5 @@ def make_clock(scenario: Scenario, reception: Reception, plant: Plant, report: R
         leader_every=leader_every,
         answer_timeout_s=settings.answer_timeout_s,
         report=report,
+        edge=edge,
     )

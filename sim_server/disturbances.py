@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_server.bad_grasp import BadGrasp
+from sim_server.faults.event import LoadPlace, Seen
+from sim_server.faults.pushes import Push
 from sim_server.layout import Array, cross
 from sim_server.push_shapes import Wave, wave_of
-from sim_server.scenario_events import LoadPlace, Push
 from sim_server.snapshot import Snapshot
 from sim_server.world import World
 
@@ -44,7 +45,7 @@ class Disturbances:
         """How many pushes have begun so far."""
         self._wrote = False
         """Whether anything is left in MuJoCo's memory."""
-        self.news: list[tuple[Push, str]] = []
+        self.news: list[Seen] = []
         """Pushes that have acted, or have ended, with what was seen; whoever reports it takes them out."""
         self.on_load = np.zeros(6)
         """On the load in the step before, (6,) N and N m about its centre of mass, world axes."""
@@ -65,7 +66,7 @@ class Disturbances:
         for each in list(self._pushes):
             if each.event.arm is not None and each.event.arm not in self._row:
                 self._pushes.remove(each)
-                self.news.append((each.event, "its robot has been taken away"))
+                self.news.append(Seen(each.event, "its robot has been taken away", proves=each.told))
 
     def loosen(self, arm: str, force_N: float) -> None:
         """From now on this hand holds badly: softly, with spurious forces of this size per axis."""
@@ -109,10 +110,10 @@ class Disturbances:
             if not each.told and each.wrench.any():
                 each.told = True
                 force, torque = np.linalg.norm(each.wrench[:3]), np.linalg.norm(each.wrench[3:])
-                self.news.append((each.event, f"{force:.3g} N and {torque:.3g} N m act"))
+                self.news.append(Seen(each.event, f"{force:.3g} N and {torque:.3g} N m act"))
             if step >= each.end:
                 self._pushes.remove(each)
-                self.news.append((each.event, "it has ended"))
+                self.news.append(Seen(each.event, "it has ended", proves=each.told))
 
     def _push_hand(self, arm: str, wrench: Array) -> None:
         ids, data = self._world.arms[arm], self._world.data
@@ -127,7 +128,9 @@ class Disturbances:
         about_com = wrench.copy()
         if point != "centre_of_mass":
             R_WO = world.data.xmat[world.load_body].reshape(3, 3)
-            about_com[3:] += _moment(R_WO @ (world.load_points[point] - world.load_com), wrench[:3])
+            about_com[3:] += _moment(
+                R_WO @ (world.load_points[point] - world.model.body_ipos[world.load_body]), wrench[:3]
+            )
         world.data.xfrc_applied[world.load_body] += about_com
         self.on_load += about_com
 
@@ -149,7 +152,7 @@ class Disturbances:
             ],
             "begun": self._begun,
             "wrote": self._wrote,
-            "news": [[event.model_dump(mode="json"), effect] for event, effect in self.news],
+            "news": [[each.event.model_dump(mode="json"), each.effect, each.proves] for each in self.news],
         }
 
     def restore(self, saved: Snapshot) -> None:
@@ -164,7 +167,9 @@ class Disturbances:
             each.told = bool(told)
             self._pushes.append(each)
         self._begun, self._wrote = int(saved["begun"]), bool(saved["wrote"])
-        self.news[:] = [(Push.model_validate(event), str(effect)) for event, effect in saved["news"]]
+        self.news[:] = [
+            Seen(Push.model_validate(event), str(effect), bool(proves)) for event, effect, proves in saved["news"]
+        ]
 
 
 def _moment(lever: Array, force: Array) -> tuple[float, float, float]:

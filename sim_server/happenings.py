@@ -5,36 +5,23 @@ that come. Every event is reported as ordered, and as seen to take effect.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
-from sim_server.grasping import Closing
+from sim_server.faults.onset import Onset, Plant
+from sim_server.faults.processes import SimKill, ToProcess
+from sim_server.faults.proofs import Proofs
 from sim_server.lockstep import Ticker
 from sim_server.newcomers import CannotCome
-from sim_server.process_deeds import ProcessDeeds, Undone, undone
+from sim_server.process_deeds import SIM, ProcessDeeds, Undone, undone
 from sim_server.reception import Reception, Report
-from sim_server.scenario_events import AnyEvent, FailGrasp, Join, Push, in_order
+from sim_server.scenario_events import AnyEvent, Join, Whole, in_order
 from sim_server.snapshot import Snapshot, SnapshotError
 from sim_server.world_builder import NotBuilt
 from wire.link import Publisher
 
 LEAD_S = 2.5
 """Simulated time before a newcomer's tick at which its world is begun and its agent started."""
-
-
-class Hands(Protocol):
-    """What has become of the plant's hands since it was last looked at."""
-
-    opened: list[str]
-    grasped: list[Closing]
-
-    def holds(self, arm: str) -> bool: ...
-
-
-class Pushes(Protocol):
-    """What has become of the pushes since it was last looked at."""
-
-    news: list[tuple[Push, str]]
 
 
 class Arrivals(Protocol):
@@ -57,25 +44,6 @@ class Arrivals(Protocol):
     def cancel(self, arm: str, why: str) -> None: ...
 
 
-class Plant(Protocol):
-    """What the events need of the plant."""
-
-    @property
-    def hands(self) -> Hands: ...
-
-    @property
-    def disturbances(self) -> Pushes: ...
-
-    @property
-    def names(self) -> list[str]: ...
-
-    def push(self, event: Push) -> None: ...
-
-    def loosen(self, arm: str, force_N: float) -> None: ...
-
-    def slip(self, arm: str) -> None: ...
-
-
 class Happenings:
     """The events of one run.
 
@@ -87,6 +55,7 @@ class Happenings:
         newcomers: those who come.
         waits: whether the clock stands until a newcomer is there (lock-step), or it comes when it is ready.
         ticks: of the whole run.
+        save: waits until the last checkpoint is on the disk.
     """
 
     def __init__(
@@ -103,7 +72,9 @@ class Happenings:
         newcomers: Arrivals,
         waits: bool,
         ticks: int,
+        save: Callable[[], None] = lambda: None,
     ) -> None:
+        self._save = save
         self._newcomers, self._waits, self._ticks = newcomers, waits, ticks
         self._unforeseen: set[str] = set()
         """Robots that no scenario has."""
@@ -112,55 +83,60 @@ class Happenings:
         up."""
         self._prepared: dict[str, int] = {}
         """Newcomers that are prepared for, each with the number of its deed, or 0."""
-        self._due = in_order(events, period_ms)
-        self._reception, self._clock, self._plant = reception, clock, plant
-        self._report = report
-        self._deeds = ProcessDeeds(reception, clock, publisher, report, start_s=start_s, waits=waits)
+        self._all = in_order(events, period_ms)
+        self._due = list(self._all)
+        self.proofs = Proofs(event for _, event in self._all)
+        self._onset = Onset(clock, plant, report, period_ms=period_ms, proofs=self.proofs)
+        self._reception, self._clock, self._report = reception, clock, report
+        self._deeds = ProcessDeeds(
+            reception, clock, publisher, report, start_s=start_s, waits=waits, proofs=self.proofs
+        )
         self._period_ms, self._start_s = period_ms, start_s
-        self._slips: list[tuple[int, str]] = []
 
     def before(self, tick: int) -> None:
         """Do what is due before this tick. Raises :class:`Undone`, and :class:`sim_server.lockstep.Stopped`."""
-        hands, news = self._plant.hands, self._plant.disturbances.news
-        while news:
-            push, effect = news.pop(0)
-            self._report("seen", event=push.kind, **_target(push), effect=effect)
-        while hands.opened:
-            self._report("hand_opened", agent=hands.opened.pop(0))
-        while hands.grasped:
-            closed = hands.grasped.pop(0)
-            self._report("grasped", agent=closed.arm, closed_at_tick=closed.tick, force_max_N=closed.force_max_N)
+        self._onset.look(tick)
         self._deeds.look()
         self._take_orders(tick)
         self._prepare(tick)
         self._newcomers.advance()
-        while self._slips and self._slips[0][0] <= tick:
-            _, arm = self._slips.pop(0)
-            if hands.holds(arm):
-                self._plant.slip(arm)
-                self._report("seen", event="fail_grasp", agent=arm, effect="the hand has slipped off")
+        self._onset.slip(tick)
         self._let_late_ones_come()
         while self._due and self._due[0][0] <= tick:
             _, event = self._due.pop(0)
-            if isinstance(event, Join):
-                if self._is_ready(event):
-                    self._let_come(event)
-                else:
-                    self._late.append((time.monotonic() + self._start_s, event))
-            elif isinstance(event, Push):
-                self._report("ordered", event=event.kind, **_target(event))
-                if event.arm is not None and event.arm not in self._plant.names:
-                    raise undone(event, "its robot is not there")
-                self._plant.push(event)
-            elif isinstance(event, FailGrasp):
-                self._report("ordered", event=event.kind, agent=event.arm)
-                if not hands.holds(event.arm):
-                    raise undone(event, "its hand holds nothing")
-                self._plant.loosen(event.arm, event.force_N)
-                self._slips = sorted([*self._slips, (tick + round(event.for_s * 1000 / self._period_ms), event.arm)])
-                self._report("seen", event=event.kind, agent=event.arm, effect="the hand holds badly")
+            if not isinstance(event, Join):
+                self._do(tick, event)
+            elif self._is_ready(event):
+                self._let_come(event)
             else:
-                self._deeds.do(event)
+                self._late.append((time.monotonic() + self._start_s, event))
+
+    def _do(self, tick: int, event: Whole) -> None:
+        """Do what is due now. Raises :class:`Undone`."""
+        self.proofs.order(event)
+        if isinstance(event, ToProcess):
+            self._deeds.do(event)
+        elif isinstance(event, SimKill):
+            self._save()  # so that it is certain from where the next one goes on
+            self._deeds.die(event)
+        elif not isinstance(event, Join):
+            self._onset.begin(tick, event)
+
+    def survive(self, deaths: int, tick: int) -> None:
+        """The simulator has been killed by so many events, and has gone on from this tick: they do not happen again."""
+        kills = [event for _, event in self._all if isinstance(event, SimKill)][:deaths]
+        self._due = [(due, event) for due, event in self._due if event not in kills]
+        for event in kills:
+            self.proofs.order(event)
+            self.proofs.see(event)
+        if kills:
+            effect = f"another simulator goes on from tick {tick}"
+            self._report("seen", event=kills[-1].kind, agent=SIM, effect=effect)
+
+    def finish(self) -> None:
+        """The run has come to its end: tell what is to be told of what went on until then. Raises :class:`Undone`."""
+        self._deeds.look()
+        self._onset.finish()
 
     def _take_orders(self, tick: int) -> None:
         """Robots that the operator wants and nobody foresaw."""
@@ -219,6 +195,7 @@ class Happenings:
 
     def _let_come(self, event: Join) -> None:
         """The robot is there from now on. Raises :class:`Undone`."""
+        self.proofs.order(event)
         self._report("ordered", event=event.kind, agent=event.arm, strut=event.strut)
         try:
             self._await_its_process(event)
@@ -230,6 +207,7 @@ class Happenings:
         if self._waits and event.arm not in self._unforeseen:  # what nobody foresaw does not hold the others up
             self._deeds.wait(lambda: agent.is_in and agent.alive, event, "it has not joined", self._start_s)
         effect = f"it stands outside, by strut {event.strut}"
+        self.proofs.see(event)
         self._report("seen", event=event.kind, agent=event.arm, effect=effect, pause_ms=1e3 * pause_s)
 
     def _give_up(self, event: Join, why: str) -> None:
@@ -255,15 +233,16 @@ class Happenings:
 
     def state(self) -> Snapshot:
         """How many of the scenario's events are still to come, the robots that somebody wants, those that are late, the
-        hands that will slip off, and the deeds."""
+        faults, and the deeds."""
         wanted = [(tick, event) for tick, event in self._due if isinstance(event, Join) and self._is_unforeseen(event)]
         return {
             "due": len(self._due) - len(wanted),
             "wanted": [[tick, event.arm, event.strut] for tick, event in wanted],
             "late": [[event.arm, event.strut, self._is_unforeseen(event)] for _, event in self._late],
             "orders": list(self._clock.wanted),
-            "slips": [list(slip) for slip in self._slips],
+            "onset": self._onset.state(),
             "deeds": self._deeds.state(),
+            "proofs": self.proofs.state(),
         }
 
     def restore(self, saved: Snapshot) -> None:
@@ -279,13 +258,9 @@ class Happenings:
             if not unforeseen:
                 self._unforeseen.discard(event.arm)
         self._clock.wanted[:] = map(int, saved["orders"])
-        self._slips = [(int(tick), str(arm)) for tick, arm in saved["slips"]]
+        self._onset.restore(saved["onset"])
         self._deeds.restore(saved["deeds"])
+        self.proofs.restore(saved["proofs"])
 
     def _is_unforeseen(self, event: Join) -> bool:
         return event.arm in self._unforeseen
-
-
-def _target(push: Push) -> dict[str, str]:
-    """Whom a push is on, for the events."""
-    return {"point": push.point or "centre_of_mass"} if push.arm is None else {"agent": push.arm}

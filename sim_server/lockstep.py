@@ -2,7 +2,8 @@
 
 An agent whose sign of life goes is lost at once. One that stays silent for ``answer_timeout_s`` has missed the tick;
 while it stays silent it is not waited for again, so that a hung agent costs that time once, and after
-``missed_ticks_until_lost`` missed ticks in a row it is lost.
+``missed_ticks_until_lost`` missed ticks in a row it is lost. Where a message fault takes an answer away, the tick is
+missed at once (:mod:`sim_server.faults.edge`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_server.durations import Durations
+from sim_server.faults.edge import Edge
 from sim_server.plant import Plant
 from sim_server.punctuality import Punctuality
 from sim_server.reception import LEADER, Agent, Arrived, Reception, Report
@@ -77,6 +79,7 @@ class Ticker(ABC):
         period_ns: simulated time of a tick.
         leader_every: the leader sees and pulls every so many ticks.
         report: where events go.
+        edge: where message faults act; by default there are none.
     """
 
     def __init__(
@@ -87,12 +90,16 @@ class Ticker(ABC):
         period_ns: int,
         leader_every: int,
         report: Report,
+        edge: Edge | None = None,
     ) -> None:
         self._reception, self._plant, self._report = reception, plant, report
         self._period_ns, self._leader_every = period_ns, leader_every
+        self.edge = edge or Edge()
+        self._tick = 0
         self._waiting: set[str] = set()
         self._frozen: set[str] = set()
-        self._thawed: set[str] = set()
+        self._silent: set[str] = set()
+        """Agents that have let the time for an answer pass, and have not answered in time since."""
         self.done: dict[int, str] = {}
         """The launcher's reports: number of the deed, and what was in the way."""
         self.wanted: list[int] = []
@@ -112,7 +119,11 @@ class Ticker(ABC):
         """One tick up to, and without, the plant's step. Raises :class:`Stopped`."""
         start = time.perf_counter_ns()
         self.admit()
+        self._tick = tick
         self._send(tick)
+        for name in sorted(self.edge.troubled):
+            for payload in self.edge.late(name, tick):
+                self._take_answer(name, self._reception.agents[name], payload)
         sent = time.perf_counter_ns()
         self._plant.prepare()
         self._gather(tick)
@@ -122,6 +133,7 @@ class Ticker(ABC):
     def admit(self) -> None:
         """Let those in whose links are up; an arm that was lost or left before is driven again."""
         for name in self._reception.match():
+            self._silent.discard(name)
             if name != LEADER:
                 self._plant.regain(name)
 
@@ -133,11 +145,10 @@ class Ticker(ABC):
     def thaw(self, name: str) -> None:
         """The process runs again, or another takes its place: it is waited for, and its sign of life counts."""
         self._frozen.discard(name)
+        self._silent.discard(name)
         agent = self._reception.agents[name]
-        if agent.link.phase is Phase.TICKING:
-            self._thawed.add(name)
-            if not agent.alive:
-                self._vanish(name)
+        if agent.link.phase is Phase.TICKING and not agent.alive:
+            self._vanish(name)
 
     def _send(self, tick: int) -> None:
         time_ns = tick * self._period_ns
@@ -172,10 +183,20 @@ class Ticker(ABC):
                     reading.odometry,
                 )
             agent.link.state_sent(tick)
-            agent.publisher.put(encode(message))
-            if name not in self._frozen and (name in self._thawed or not agent.link.missed_in_row):
+            answers = self._put(agent, name, tick, encode(message))
+            if answers and name not in self._frozen and name not in self._silent:
                 self._waiting.add(name)
-                self._thawed.discard(name)
+
+    def _put(self, agent: Agent, name: str, tick: int, payload: bytes) -> bool:
+        """Send it, or what message faults make of it; whether there will be an answer."""
+        if name not in self.edge.troubled:
+            agent.publisher.put(payload)
+            return True
+        link = agent.link
+        out, answers = self.edge.send(name, tick, link.lease, link.invitation.joints, payload)
+        for each in out:
+            agent.publisher.put(each)
+        return answers
 
     def take(self, arrived: Arrived) -> None:
         """Deal with one thing from the inbox. Raises :class:`Stopped`."""
@@ -202,6 +223,16 @@ class Ticker(ABC):
 
     def _answer(self, name: str, payload: bytes) -> None:
         agent = self._reception.agents[name]
+        if name not in self.edge.troubled:
+            self._take_answer(name, agent, payload)
+            return
+        for each in self.edge.receive(name, self._tick, payload):
+            self._take_answer(name, agent, each)
+        if self.edge.is_last(name, payload):  # should its answer not have counted: there will be no other
+            self._waiting.discard(name)
+            self._silent.discard(name)
+
+    def _take_answer(self, name: str, agent: Agent, payload: bytes) -> None:
         try:
             if name == LEADER:
                 self._pull(agent, decode(payload, LeaderForce))
@@ -216,6 +247,8 @@ class Ticker(ABC):
             self._reception.refuse(name, refusal)
         if agent.link.open_tick is None:
             self._waiting.discard(name)
+            if not agent.link.missed_in_row:
+                self._silent.discard(name)
 
     def _pull(self, agent: Agent, force: LeaderForce) -> None:
         self._accept(agent, force)  # in time it is, even if what it wants is refused: the pull before stays
@@ -244,7 +277,7 @@ class Ticker(ABC):
         self.done[message.number] = message.problem
 
     def _miss(self, name: str, agent: Agent) -> None:
-        if agent.link.missed_in_row == 0:
+        if agent.link.missed_in_row == 0 and name not in self.edge.troubled:
             self._report("missed", agent=name, tick_missed=agent.link.open_tick)
         if agent.link.miss():
             self._lose(name, f"{agent.link.missed_in_row} ticks without an answer")
@@ -279,8 +312,9 @@ class LockStep(Ticker):
         leader_every: int,
         answer_timeout_s: float,
         report: Report,
+        edge: Edge | None = None,
     ) -> None:
-        super().__init__(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report)
+        super().__init__(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report, edge=edge)
         self._answer_timeout_s = answer_timeout_s
 
     def _accept(self, agent: Agent, message: Command | LeaderForce) -> None:
@@ -298,6 +332,7 @@ class LockStep(Ticker):
             self.take(arrived)
         while not inbox.empty():
             self.take(inbox.get())
+        self._silent |= self._waiting
         self._waiting.clear()
         for name, agent in self._reception.agents.items():
             if agent.link.open_tick is not None:

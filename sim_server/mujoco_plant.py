@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from sim_server.bases import Bases
 from sim_server.disturbances import Disturbances
 from sim_server.errors import PlantFailed
+from sim_server.faults.damage import Damage
+from sim_server.faults.pushes import Push
 from sim_server.grasping import Grasping
 from sim_server.grips import grip_wrenches
 from sim_server.layout import STRUT_SIDE_M, cross
@@ -24,7 +26,6 @@ from sim_server.motor_drivers import MotorDrivers
 from sim_server.new_world import carry_over, stand_outside
 from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.scenario import arm_number
-from sim_server.scenario_events import Push
 from sim_server.sensor_noise import SensorNoise
 from sim_server.snapshot import Snapshot, SnapshotError, fill
 from sim_server.unled_arms import Behaviour, Brake, Felt, LetDown, Limp, Release
@@ -61,6 +62,7 @@ class MujocoPlant:
         self._dt_s = scenario.plant.physics_step_ms / 1000
         limits, base, arms = arm_limits(scenario.team.arm), scenario.base, list(world.arms.values())
         self.disturbances = Disturbances(world, self._dt_s)
+        self.damage = Damage(world, self._substeps, self._dt_s)
         self.hands = Grasping(world)
         self.tick = 0
         self._is_prepared = False
@@ -88,8 +90,8 @@ class MujocoPlant:
             np.zeros(3) if base.fixed else np.array([base.force_max_N, base.force_max_N, base.torque_max_Nm]),
             noise.delay_ticks,
         )
-        self._pull_lever = np.zeros(3)
-        """From the load's centre of mass to the pulled point, (3,) m in O."""
+        self._pull_point = world.load_com.copy()
+        """The pulled point, (3,) m in O."""
         self._pull_force = np.zeros(3)
         self._see(self._data)
         self._told: list[Numbers] = [(0.0,) * (limits.joints + 1) for _ in arms]
@@ -123,6 +125,7 @@ class MujocoPlant:
             stand_outside(world, name)
         rows = [self._row.get(name) for name in world.arms]
         self._bind(world)
+        self.damage.move_to(world, self.tick)
         mujoco.mj_forward(self._model, self._data)
         gravity = self._data.qfrc_bias[self._arm_dofs]
         self._drivers.exchange(rows, gravity)
@@ -170,6 +173,7 @@ class MujocoPlant:
         self._qpos, self._qvel, self._qfrc_bias = data.qpos, data.qvel, data.qfrc_bias
         self._sensordata, self._qfrc_applied = data.sensordata, data.qfrc_applied
         self._R_WO = data.xmat[load].reshape(3, 3)
+        self._load_com = self._model.body_ipos[load]
         self._load_force, self._load_torque = data.xfrc_applied[load, :3], data.xfrc_applied[load, 3:]
         self._warnings = data.warning.number
         # Where each number of a reading stands in [qpos, qvel, driver torques, sensordata].
@@ -192,9 +196,11 @@ class MujocoPlant:
     def read(self) -> Mapping[str, Reading]:
         """Sensor readings of this tick. Call once per tick: the noise goes on."""
         joints = self._arm_dofs.shape[1]
-        everything = np.concatenate([self._qpos, self._qvel, self._drivers.torque.ravel(), self._sensordata])
-        exact = everything[self._read_at]
-        noisy = (exact + self._noise.draw()).tolist()
+        everything = np.concatenate([self._qpos, self._qvel, self._torque.ravel(), self._sensordata])
+        sensed = everything[self._read_at] + self._noise.draw()
+        if self.damage.goes_on:
+            self.damage.sense(sensed, self.tick)
+        noisy = sensed.tolist()
         readings = {
             name: Reading(
                 q=tuple(row[:joints]),
@@ -226,7 +232,7 @@ class MujocoPlant:
 
     def pull(self, point: str, force: Array) -> None:
         """The leader's force, (3,) N world, at a named point; held, and moving with the point, until the next one."""
-        self._pull_lever = np.array(self.points[point]) - self.world.load_com
+        self._pull_point = np.array(self.points[point])
         self._pull_force = force
 
     def command(
@@ -289,9 +295,9 @@ class MujocoPlant:
         """The part of the next step that needs no command: where everything is, what touches, what bears what.
 
         The same bits as without, since nothing moves before :meth:`step`. Not where a hand is empty or an arm unled:
-        there the step itself still decides what holds.
+        there the step itself still decides what holds; nor with faults, which may change the model in every step.
         """
-        if not self.hands.empty and not self._drivers.any_unled:
+        if not self.hands.empty and not self._drivers.any_unled and not self.damage.goes_on:
             mujoco.mj_step1(self._model, self._data)
             self._is_prepared = True
 
@@ -320,6 +326,8 @@ class MujocoPlant:
             self.hands.watch(self.tick, self._dt_s * self._substeps)
         self.tick += 1
         self.disturbances.settle(self.tick * self._substeps)
+        if self.damage.goes_on:
+            self.damage.settle(self.tick)
 
     def _felt(self) -> Felt:
         """What the drivers themselves feel."""
@@ -341,12 +349,17 @@ class MujocoPlant:
         )
 
     def _apply_efforts(self, substep: int = 0) -> None:
-        applied, drivers = self._qfrc_applied, self._drivers
-        applied[self._arm_dofs] = drivers.torque
-        self._bases.drive(applied, self._qpos, drivers.base_force)
+        applied, step = self._qfrc_applied, self.tick * self._substeps + substep
+        self._torque, self._base_force = self._drivers.torque, self._drivers.base_force
+        if self.damage.goes_on:
+            self.damage.advance(step)
+            self._torque, self._base_force = self.damage.deliver(self._torque, self._base_force)
+        applied[self._arm_dofs] = self._torque
+        self._bases.drive(applied, self._qpos, self._base_force)
         self._load_force[:] = self._pull_force
-        self._load_torque[:] = cross((self._R_WO @ self._pull_lever).tolist(), self._pull_force.tolist())
-        self.disturbances.apply(self.tick * self._substeps + substep)
+        lever = self._R_WO @ (self._pull_point - self._load_com)
+        self._load_torque[:] = cross(lever.tolist(), self._pull_force.tolist())
+        self.disturbances.apply(step)
 
     def state(self) -> Snapshot:
         """Everything that the ticks after this one depend on, between two ticks."""
@@ -364,9 +377,11 @@ class MujocoPlant:
             "drivers": self._drivers.state(),
             "noise": self._noise.state(),
             "told": np.array(self._told),
-            "pull_lever": self._pull_lever,
+            "pull_point": self._pull_point,
+            "torque": self._torque,
             "pull_force": self._pull_force,
             "disturbances": self.disturbances.state(),
+            "damage": self.damage.state(),
         }
 
     def restore(self, saved: Snapshot) -> None:
@@ -385,17 +400,21 @@ class MujocoPlant:
         integration = np.zeros(mujoco.mj_stateSize(model, INTEGRATION))
         fill(integration, saved["integration"])
         self.disturbances.restore(saved["disturbances"])
+        self.damage.restore(saved["damage"], int(saved["tick"]))
         for name in GRASPS:  # after the bad grasps, which set theirs
             fill(getattr(model, name), saved["grasps"][name])
         mujoco.mj_setState(model, data, integration, INTEGRATION)
         for name in LEFT_BY_THE_STEP:
             fill(getattr(data, name), saved["left_by_the_step"][name])
         self._drivers.restore(saved["drivers"])
+        self._torque = self._drivers.torque.copy()
+        fill(self._torque, saved["torque"])
         self._noise.restore(saved["noise"])
         told = np.array(self._told)
         fill(told, saved["told"])
         self._told = list(told)
-        fill(self._pull_lever, saved["pull_lever"])
+        self._pull_point = np.zeros(3)
+        fill(self._pull_point, saved["pull_point"])
         self._pull_force = np.zeros(3)
         fill(self._pull_force, saved["pull_force"])
         self.tick = int(saved["tick"])
@@ -421,11 +440,11 @@ class MujocoPlant:
         rows = np.hstack(
             [
                 arms[:, : 2 * joints],
-                drivers.torque,
+                self._torque,
                 self._data.sensordata[self._sensors],
                 np.array(self._told),
                 arms[:, 2 * joints :],
-                drivers.base_force,
+                self._base_force,
                 grip_wrenches(self.world),
                 self.disturbances.on_hands,
                 drivers.age_ticks[:, None],

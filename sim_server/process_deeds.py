@@ -13,9 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sim_server.errors import SimError
+from sim_server.faults.event import Event
+from sim_server.faults.processes import AnyVerb, ProcessEvent, SimKill, ToProcess
+from sim_server.faults.proofs import Proofs, describe
 from sim_server.lockstep import Ticker
 from sim_server.reception import Agent, Reception, Report
-from sim_server.scenario_events import AnyEvent, ProcessEvent, Verb
 from sim_server.snapshot import Snapshot
 from wire.codec import encode
 from wire.lifecycle import Phase
@@ -26,6 +28,9 @@ DEED_S = 20.0
 """Wall time that a deed may take until it is seen; a start has the scenario's start timeout."""
 NOBODY_S = 3.0
 """Wall time in which the launcher must be listening: it is there before the first tick."""
+
+SIM = "sim"
+"""The simulator, among those to whom something is done."""
 
 
 class Undone(SimError):
@@ -38,7 +43,7 @@ class Undone(SimError):
 class Going:
     """An agent that was told to leave and has not gone yet."""
 
-    event: ProcessEvent
+    event: ToProcess
     lease: int
     """Of the instance that was told; 0 if that was in a simulator before this one."""
 
@@ -50,13 +55,22 @@ class ProcessDeeds:
         publisher: to the launcher.
         start_s: wall time that a started agent has to be in.
         waits: whether the clock stands until the sign of life of an agent that has left is gone (lock-step).
+        proofs: where it is noted what has been seen.
     """
 
     def __init__(
-        self, reception: Reception, clock: Ticker, publisher: Publisher, report: Report, *, start_s: float, waits: bool
+        self,
+        reception: Reception,
+        clock: Ticker,
+        publisher: Publisher,
+        report: Report,
+        *,
+        start_s: float,
+        waits: bool,
+        proofs: Proofs,
     ) -> None:
         self._reception, self._clock, self._publisher, self._report = reception, clock, publisher, report
-        self._start_s, self._waits = start_s, waits
+        self._start_s, self._waits, self._proofs = start_s, waits, proofs
         self._number = 0
         self._going: list[Going] = []
 
@@ -65,19 +79,27 @@ class ProcessDeeds:
         """Whether the launcher is there."""
         return self._publisher.matched()
 
-    def order(self, agent: str, verb: Verb) -> int:
+    def order(self, agent: str, verb: AnyVerb) -> int:
         """Ask the launcher for a deed; its number."""
         self._number += 1
         self._publisher.put(encode(Deed(self._number, verb, agent)))
         return self._number
 
-    def do(self, event: ProcessEvent) -> None:
+    def do(self, event: ToProcess) -> None:
         """Have it done, and report it as soon as it is seen. Raises :class:`Undone`."""
         self._report("ordered", event=event.kind, agent=event.agent)
         if event.kind == "leave":
             self._send_away(event)
         else:
             self._seen(event, self._do(event))
+
+    def die(self, event: SimKill) -> None:
+        """Ask for the death of this very process, and wait for it. Raises :class:`Undone`: it has not come."""
+        self._report("ordered", event=event.kind, agent=SIM)
+        self._wait_for_somebody(event)
+        number, done = self.order(SIM, "kill"), self._clock.done
+        self.wait(lambda: number in done, event, "this process is still there", DEED_S)
+        raise undone(event, done[number] or "the launcher says so, but this process is still there")
 
     def look(self) -> None:
         """Report those who were told to leave and have gone since. Raises :class:`Undone` if one only says so."""
@@ -89,7 +111,7 @@ class ProcessDeeds:
             if agent.link.phase is Phase.LEFT:
                 self._wait_until_dead(agent, going.event, DEED_S)
             self._going.remove(going)
-            self._seen(going.event, gone)
+            self._seen(going.event, gone, proves=agent.link.phase is Phase.LEFT)
 
     @staticmethod
     def _how_it_went(going: Going, agent: Agent) -> str:
@@ -100,10 +122,12 @@ class ProcessDeeds:
             return "it was lost before it had gone"
         return ""
 
-    def _seen(self, event: ProcessEvent, effect: str) -> None:
+    def _seen(self, event: ToProcess, effect: str, *, proves: bool = True) -> None:
+        if proves:
+            self._proofs.see(event)
         self._report("seen", event=event.kind, agent=event.agent, effect=effect)
 
-    def _send_away(self, event: ProcessEvent) -> None:
+    def _send_away(self, event: ToProcess) -> None:
         agent = self._reception.agents[event.agent]
         link = agent.link
         self.wait(lambda: agent.alive or not agent.is_in, event, "it has shown no sign of life", DEED_S)
@@ -117,7 +141,7 @@ class ProcessDeeds:
         self._going.append(Going(event, link.lease))
         self.look()
 
-    def _do(self, event: ProcessEvent) -> str:
+    def _do(self, event: ToProcess) -> str:
         """Have it done; what was seen of it."""
         agent, name = self._reception.agents[event.agent], event.agent
         if event.kind in ("kill", "start"):
@@ -135,15 +159,20 @@ class ProcessDeeds:
         if event.kind == "stop":
             self._clock.freeze(name)
             return "the kernel has stopped it"
+        if event.kind == "hang":  # nobody tells the clock: to find out is its own affair
+            self.wait(lambda: agent.alive, event, "its sign of life is gone", seconds)
+            return "the kernel has stopped its control loop, and its sign of life is there"
+        if event.kind == "slow":
+            return "the kernel has stopped it and let it go on, again and again"
         self._clock.thaw(name)
         if agent.link.phase is Phase.LOST:
             return "it runs again, but was lost meanwhile: its lease is worth nothing"
         return "it runs again"
 
-    def _wait_until_dead(self, agent: Agent, event: ProcessEvent, seconds: float) -> None:
+    def _wait_until_dead(self, agent: Agent, event: ToProcess, seconds: float) -> None:
         self.wait(lambda: not agent.alive, event, "its sign of life is still there", seconds)
 
-    def _ask(self, event: ProcessEvent, seconds: float) -> None:
+    def _wait_for_somebody(self, event: Event) -> None:
         self.wait(
             self._publisher.matched,
             event,
@@ -151,13 +180,16 @@ class ProcessDeeds:
             "without such events",
             NOBODY_S,
         )
+
+    def _ask(self, event: ToProcess, seconds: float) -> None:
+        self._wait_for_somebody(event)
         number = self.order(event.agent, event.kind)
         done = self._clock.done
         self.wait(lambda: number in done, event, "the launcher has not reported it", seconds)
         if done[number]:
             raise undone(event, done[number])
 
-    def wait(self, seen: Callable[[], bool], event: AnyEvent, else_: str, seconds: float) -> None:
+    def wait(self, seen: Callable[[], bool], event: Event, else_: str, seconds: float) -> None:
         """Take in what comes until something is seen. Raises :class:`Undone`, with ``else_``, if it is not in time."""
         deadline = time.monotonic() + seconds
         while not seen():
@@ -180,7 +212,6 @@ class ProcessDeeds:
         ]
 
 
-def undone(event: AnyEvent, problem: str) -> Undone:
+def undone(event: Event, problem: str) -> Undone:
     """The error for an event that was not done."""
-    agent = event.agent if isinstance(event, ProcessEvent) else event.arm or "the load"
-    return Undone(f"event {event.kind!r} of {agent} at {event.at_s:g} s was not done: {problem}")
+    return Undone(f"{describe(event)} was not done: {problem}")

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sim_server.faults.pushes import Push
 from sim_server.layout import Array
-from sim_server.scenario_events import Push
 
 Wave = Callable[[float], Array]
 """Wrench at a time since the push began, (6,) N and N m, world axes. Ask in order of time."""

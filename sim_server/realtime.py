@@ -14,6 +14,7 @@ import queue
 import time
 from typing import Protocol
 
+from sim_server.faults.edge import Edge
 from sim_server.lockstep import Ticker
 from sim_server.plant import Plant
 from sim_server.reception import LEADER, Agent, Arrived, Reception, Report
@@ -78,8 +79,9 @@ class RealTime(Ticker):
         leader_every: int,
         report: Report,
         wall: WallTime | None = None,
+        edge: Edge | None = None,
     ) -> None:
-        super().__init__(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report)
+        super().__init__(reception, plant, period_ns=period_ns, leader_every=leader_every, report=report, edge=edge)
         self._wall = wall or MachineTime()
         self._due_ns: int | None = None
         """When the present tick was to begin; None before the first."""

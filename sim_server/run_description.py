@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import platform
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ class Ending:
     why: str
     wall_s: float
     """Wall time from the first tick to the last."""
+    unproven: Sequence[str] = ()
+    """A sentence for each event that was not seen to take effect."""
 
 
 def describe_run(
@@ -50,6 +53,7 @@ def describe_run(
         "resumed": checkpoints.story.resumed,
         "checkpoints": checkpoints.describe(),
         "ended": {"completed": ending.completed, "why": ending.why, "ticks": plant.tick},
+        "unproven": list(ending.unproven),
         "agents": describe_agents(reception),
         "strangers_refused": reception.strangers,
         "facts": _facts(plant),

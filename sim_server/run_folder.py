@@ -16,7 +16,7 @@ from sim_server.errors import SimError
 from sim_server.metrics import physical_metrics, trace_facts
 from sim_server.scenario import Bound
 from sim_server.trace import read_trace
-from sim_server.verdict import Judged, Verdict, judge, overall
+from sim_server.verdict import Judged, Verdict, judge, overall, why_unknown
 
 RUN, METRICS, AUDIT = "run.json", "metrics.json", "audit.json"
 TRACE, EVENTS, LOGS = "trace.parquet", "events.jsonl", "logs"
@@ -66,6 +66,11 @@ class RunFolder:
         part.write_bytes(data[:size] + b"".join(json.dumps(event).encode() + b"\n" for event in undone))
         os.replace(part, file)
         self._events = file.open("a", encoding="utf-8")
+
+    def times(self, kind: str, event: str) -> int:
+        """How often the events' file tells that of an event of the scenario, what was undone included."""
+        lines = (self.path / EVENTS).read_text(encoding="utf-8").splitlines()
+        return sum((found := json.loads(line))["kind"] == kind and found.get("event") == event for line in lines)
 
     def events_bytes(self) -> int:
         """How long the events file is now."""
@@ -197,14 +202,17 @@ def compute_metrics(path: Path) -> tuple[dict[str, Any], tuple[Judged, ...]]:
         expect = {name: Bound.model_validate(bound) for name, bound in run["scenario"]["expect"].items()}
         metrics: dict[str, Any] = dict(physical_metrics(read_trace(path / TRACE), trace_facts(run["facts"])))
         metrics |= {name: value for name, value in run["measured"].items() if name not in metrics}
-        completed = bool(run["ended"]["completed"])
+        completed, why = bool(run["ended"]["completed"]), str(run["ended"].get("why", ""))
+        unproven = [str(each) for each in run.get("unproven", [])]
     # An edited or cut-off folder can fail in any of these ways; each means the same.
     except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         problem = " ".join(str(error).split())
         raise RunFolderError(f"{path}: no metrics can be computed: {type(error).__name__}: {problem}") from None
     metrics = {name: _finite(value) for name, value in metrics.items()}
     judged = judge(metrics, expect)
-    metrics["verdict"] = overall(judged, completed)
+    metrics["verdict"] = overall(judged, completed, unproven)
+    if metrics["verdict"] == "unknown":
+        metrics["why_unknown"] = why_unknown(judged, None if completed else why, unproven)
     return metrics, judged
 
 

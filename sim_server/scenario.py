@@ -247,7 +247,14 @@ class Scenario(Section):
             raise ValueError(f"load.struts: {self.load.struts}, but one hand holds a block: expected 1")
         self._check_stops()
         self._check_fixed()
-        check_events(self.events, self.arms, self.leader is not None, self.duration_s, self.load.struts)
+        check_events(
+            self.events,
+            self.arms,
+            self.leader is not None,
+            self.duration_s,
+            self.load.struts,
+            self.record.checkpoint_s,
+        )
         return self
 
     def _check_stops(self) -> None:
@@ -268,6 +275,8 @@ class Scenario(Section):
                 raise ValueError(
                     f"events.{number}.kind: 'join', but base.fixed = true: no robot can drive to its strut"
                 )
+            if event.kind in ("wheel_slip", "wheel_stuck", "floor_step"):
+                raise ValueError(f"events.{number}.kind: {event.kind!r}, but base.fixed = true: it does not drive")
         places = [stop.goal_m for stop in self.leader.stops] + [self.leader.goal_m] if self.leader else []
         farthest = max((math.hypot(*place) for place in places), default=0.0)
         if farthest > FIXED_REACH_M:

@@ -1,58 +1,30 @@
-"""Events of a scenario file: what happens at a simulated time, to a process or in the simulated world.
+"""Events of a scenario file: what happens at a simulated time, to a process, a message, or in the simulated world.
 
-Process events really happen to processes: the launcher sends the signal or starts the process, and the clock stands
-until that is seen. Whether the events can happen so at all is checked before anything runs.
+Most are faults (:mod:`sim_server.faults`). Process events really happen to processes: the launcher sends the signal or
+starts the process, and the clock stands until that is seen. Whether the events can happen so at all is checked before
+anything runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Annotated, Literal
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-At = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Vector3 = tuple[Finite, Finite, Finite]
-
-LoadPlace = Literal["centre_of_mass", "centre", "front", "back", "left", "right"]
-
-Verb = Literal["kill", "stop", "continue", "start", "leave"]
-
-
-class _Event(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    at_s: At
-    """Simulated time; the event takes effect before the tick of that time."""
+from sim_server.faults.event import Event, Lasting
+from sim_server.faults.grasps import FailGrasp, GraspSlip
+from sim_server.faults.message import MessageEvent
+from sim_server.faults.physical import PhysicalEvent
+from sim_server.faults.processes import AnyVerb, RestartStorm, SimKill, ToProcess
+from sim_server.faults.pushes import Push
+from sim_server.faults.registry import FAULTS
 
 
-class ProcessEvent(_Event):
-    """A thing done to the process of an arm's agent or of the leader.
-
-    ``kill``: SIGKILL. ``stop``: SIGSTOP. ``continue``: SIGCONT. ``leave``: SIGTERM, at which it puts down
-    what it carries, drives clear and says goodbye.
-    ``start``: a new process (an old one of that name that is still there is ended first).
-    """
-
-    kind: Verb
-    agent: str
-    """An arm's name, or ``leader``."""
-
-
-class FailGrasp(_Event):
-    """A hand that holds badly for a while, with spurious forces drawn from the seed, and then slips off for good."""
-
-    kind: Literal["fail_grasp"]
-    arm: str
-    for_s: Positive = 1.0
-    force_N: NotNegative = 20.0
-    """Spurious force between hand and load, one standard deviation per axis."""
-
-
-class Join(_Event):
+class Join(Event):
     """A new robot comes: it stands outside at that time, drives to a free strut, takes hold, and carries on.
 
     Its world is built and its agent started before that, while the simulation goes on.
@@ -65,45 +37,41 @@ class Join(_Event):
     """Number of the strut, from 1; arm ``ak`` of the team starts at strut k."""
 
 
-class Push(_Event):
-    """A disturbance from outside: a force and a torque on one arm's hand, or on the load, for a while.
+AnyEvent = ToProcess | RestartStorm | SimKill | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
+Whole = ToProcess | SimKill | FailGrasp | GraspSlip | Join | Push | MessageEvent | PhysicalEvent
+"""Those that do not consist of others."""
 
-    ``constant``: as given. ``smooth``: each component swings within what is given, sines of several periods with phases
-    drawn from the seed, and comes and goes gently. ``abrupt``: each component jumps to values drawn within what is
-    given, and stays there for times drawn from the seed. See :mod:`sim_server.push_shapes`.
-    """
+SETTINGS: tuple[type[Event], ...] = tuple(dict.fromkeys((*(fault.settings for fault in FAULTS), Join)))
+"""Every kind of table that ``[[events]]`` may have."""
+EVENT_KINDS: Mapping[str, type[Event]] = {
+    kind: settings for settings in SETTINGS for kind in get_args(settings.model_fields["kind"].annotation)
+}
+"""The same by the word for it."""
 
-    kind: Literal["push"]
-    arm: str | None = None
-    """Whose hand, at the tool centre; or else"""
-    point: LoadPlace | None = None
-    """a point of the load."""
-    for_s: Positive
-    force_N: Vector3 = (0.0, 0.0, 0.0)
-    """In the world's axes."""
-    torque_Nm: Vector3 = (0.0, 0.0, 0.0)
-    shape: Literal["constant", "smooth", "abrupt"] = "constant"
-    period_s: Positive | None = None
-    """``smooth``: of the slowest of its sines; 4 s if it is not given."""
-    hold_s: Annotated[float, Field(strict=True, ge=0.001, allow_inf_nan=False)] | None = None
-    """``abrupt``: mean time between two jumps; 0.5 s if it is not given."""
+if TYPE_CHECKING:
+    ScenarioEvent = AnyEvent
+else:
+    ScenarioEvent = Annotated[reduce(or_, SETTINGS), Field(discriminator="kind")]
 
-
-ScenarioEvent = Annotated[ProcessEvent | FailGrasp | Join | Push, Field(discriminator="kind")]
-AnyEvent = ProcessEvent | FailGrasp | Join | Push
-
-_FOLLOWS: Mapping[Verb, tuple[Collection[str], str]] = {
-    "kill": (("running", "stopped", "leaving"), "gone"),
+_FOLLOWS: Mapping[AnyVerb, tuple[Collection[str], str]] = {
+    "kill": (("running", "stopped", "leaving", "hung", "slow"), "gone"),
     "stop": (("running", "leaving"), "stopped"),
-    "continue": (("stopped",), "running"),
-    "leave": (("running",), "leaving"),
-    "start": (("gone", "stopped", "leaving", "running again"), "running"),
+    "hang": (("running", "leaving"), "hung"),
+    "slow": (("running",), "slow"),
+    "continue": (("stopped", "hung", "slow"), "running"),
+    "leave": (("running", "slow"), "leaving"),
+    "start": (("gone", "stopped", "leaving", "running again", "hung"), "running"),
 }
 """Which process a verb can be done to, and what that process is then. One that is leaving may have gone meanwhile."""
 
 
 def check_events(
-    events: Sequence[AnyEvent], arms: Collection[str], has_leader: bool, end_s: float, struts: int = 16
+    events: Sequence[AnyEvent],
+    arms: Collection[str],
+    has_leader: bool,
+    end_s: float,
+    struts: int = 16,
+    checkpoint_s: float = 1.0,
 ) -> None:
     """Raise ``ValueError`` with ``key: what is wrong`` for the first event that cannot happen."""
     agents = [*arms, "leader"] if has_leader else list(arms)
@@ -111,10 +79,13 @@ def check_events(
     slipped: set[str] = set()
     held = {strut: arm for strut, arm in enumerate(arms, start=1)}
     """Struts whose holders have not been disturbed yet."""
-    for number, event in sorted(enumerate(events), key=lambda each: each[1].at_s):
+    for number, event in sorted(_parts(events), key=lambda each: each[1].at_s):
         where = f"events.{number}"
         if event.at_s >= end_s:
             raise ValueError(f"{where}.at_s: {event.at_s:g} s is not before the run's end at {end_s:g} s")
+        if isinstance(event, SimKill):
+            _check_sim_kill(event, where, events, process, checkpoint_s)
+            continue
         if isinstance(event, Join):
             if event.arm in process:
                 raise ValueError(
@@ -129,17 +100,22 @@ def check_events(
                 )
             process[event.arm], held[event.strut] = "running", event.arm
             continue
-        affected = event.arm if isinstance(event, FailGrasp) else getattr(event, "agent", None)
+        affected = getattr(event, "agent", None)
+        if isinstance(event, FailGrasp | GraspSlip):
+            affected = event.arm
         held = {strut: arm for strut, arm in held.items() if arm != affected}
-        if isinstance(event, FailGrasp):
-            if event.arm not in process or event.arm == "leader":
-                raise ValueError(f"{where}.arm: no arm {event.arm!r}; expected one of {', '.join(arms)}")
+        there = [name for name in process if name != "leader"]
+        if isinstance(event, Push):
+            _check_push(event, where, there, end_s)
+            continue
+        if isinstance(event, FailGrasp | GraspSlip):
+            _check_arm(event.arm, where, there)
             if event.arm in slipped:
                 raise ValueError(f"{where}.arm: the grasp of {event.arm} has failed before, and for good")
             slipped.add(event.arm)
             continue
-        if isinstance(event, Push):
-            _check_push(event, where, [name for name in process if name != "leader"], end_s)
+        if isinstance(event, Lasting):
+            _check_lasting(event, where, there, end_s)
             continue
         if event.agent not in process:
             raise ValueError(f"{where}.agent: no agent {event.agent!r}; expected one of {', '.join(process)}")
@@ -152,12 +128,49 @@ def check_events(
         process[event.agent] = "running again" if event.kind == "continue" else after
 
 
+def _check_sim_kill(
+    event: SimKill, where: str, events: Sequence[AnyEvent], process: Mapping[str, str], checkpoint_s: float
+) -> None:
+    """Everybody who was in at the last checkpoint must be there to greet the next simulator, as they were then."""
+    if not checkpoint_s:
+        raise ValueError(f"{where}.kind: 'sim_kill', but record.checkpoint_s = 0: there is nothing to go on from")
+    if any(isinstance(each, Join) for each in events):
+        raise ValueError(f"{where}.kind: 'sim_kill' in a scenario in which robots come: expected one or the other")
+    for agent, is_ in process.items():
+        if is_ in ("stopped", "hung", "leaving"):
+            raise ValueError(f"{where}.at_s: {agent} is {is_} at {event.at_s:g} s and cannot greet the next simulator")
+    since_s = checkpoint_s * math.floor(event.at_s / checkpoint_s + 1e-9)
+    for number, each in _parts(events):
+        if isinstance(each, ToProcess) and since_s <= each.at_s <= event.at_s:
+            raise ValueError(
+                f"{where}.at_s: events.{number} happens to {each.agent} between the last checkpoint, at {since_s:g} s, "
+                f"and the simulator's death at {event.at_s:g} s; expected none, since those ticks are run again"
+            )
+
+
+def _check_arm(arm: str, where: str, arms: Collection[str]) -> None:
+    if arm not in arms:
+        raise ValueError(f"{where}.arm: no arm {arm!r} then; expected one of {', '.join(arms)}")
+
+
+def _check_lasting(event: Lasting, where: str, arms: Collection[str], end_s: float) -> None:
+    if event.arm is not None:
+        _check_arm(event.arm, where, arms)
+    if event.for_s is not None and event.at_s + event.for_s >= end_s:
+        raise ValueError(
+            f"{where}.for_s: it ends at {event.at_s + event.for_s:g} s, not before the run's end at {end_s:g} s; "
+            "leave it out for a fault that goes on until then"
+        )
+    if problem := event.problem():
+        raise ValueError(f"{where}.{problem[0]}: {problem[1]}")
+
+
 def _check_push(push: Push, where: str, arms: Collection[str], end_s: float) -> None:
     if (push.arm is None) == (push.point is None):
         got = "neither `arm` nor `point`" if push.arm is None else "both `arm` and `point`"
         raise ValueError(f"{where}.arm: a push is on one arm's hand or on one point of the load; got {got}")
-    if push.arm is not None and push.arm not in arms:
-        raise ValueError(f"{where}.arm: no arm {push.arm!r} then; expected one of {', '.join(arms)}")
+    if push.arm is not None:
+        _check_arm(push.arm, where, arms)
     if not (any(push.force_N) or any(push.torque_Nm)):
         raise ValueError(f"{where}.force_N: nothing pushes: expected a `force_N` or a `torque_Nm` that is not zero")
     if push.at_s + push.for_s >= end_s:
@@ -169,9 +182,16 @@ def _check_push(push: Push, where: str, arms: Collection[str], end_s: float) -> 
             raise ValueError(f"{where}.{key}: means nothing for shape {push.shape!r}; expected shape {shape!r}")
 
 
-def in_order(events: Sequence[AnyEvent], period_ms: int) -> list[tuple[int, AnyEvent]]:
+def _parts(events: Sequence[AnyEvent]) -> Iterator[tuple[int, Whole]]:
+    """Every event with its number in the file; one that consists of several by these."""
+    for number, event in enumerate(events):
+        for part in event.parts() if isinstance(event, RestartStorm) else [event]:
+            yield number, part
+
+
+def in_order(events: Sequence[AnyEvent], period_ms: int) -> list[tuple[int, Whole]]:
     """Events with the tick before which they happen, in time; those of one time in the order of the file."""
     return sorted(
-        ((round(event.at_s * 1000 / period_ms), event) for event in events),
+        ((round(event.at_s * 1000 / period_ms), event) for _, event in _parts(events)),
         key=lambda each: each[0],
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -15,14 +15,8 @@ from pydantic_core import ErrorDetails
 from sim_server.errors import ScenarioError
 from sim_server.metrics import METRICS
 from sim_server.scenario import Scenario
-from sim_server.scenario_events import FailGrasp, Join, ProcessEvent, Push, Verb
+from sim_server.scenario_events import EVENT_KINDS
 
-EVENT_KINDS: Mapping[str, Any] = {
-    **dict.fromkeys(get_args(Verb), ProcessEvent),
-    "fail_grasp": FailGrasp,
-    "join": Join,
-    "push": Push,
-}
 SHIPPED = Path(__file__).parent / "scenarios"
 
 

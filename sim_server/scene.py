@@ -279,3 +279,15 @@ def quat_wxyz(R: Array) -> Array:
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R).ravel())
     return quat
+
+
+def rotation_of(quat_wxyz: Array) -> Array:
+    """A unit quaternion, w first, as a rotation, (3, 3)."""
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, quat_wxyz)
+    return R.reshape(3, 3)
+
+
+def set_constants(model: Any) -> None:
+    """Work out anew what follows from the model's masses and stays the same at all positions."""
+    mujoco.mj_setConst(model, mujoco.MjData(model))

@@ -137,6 +137,7 @@ class Server:
             newcomers=self._newcomers,
             waits=self._scenario.clock.mode == "lock-step",
             ticks=self._scenario.ticks,
+            save=self._disk.wait,
         )
         self._start_wall = 0.0
         self._last_progress = 0.0
@@ -196,6 +197,7 @@ class Server:
         leases = {name: agent.link.lease for name, agent in self._reception.agents.items()}
         self._auditor.go_on(self._plant.time_s, leases)
         self._report("resumed", at=self._checkpoints.story.resumed[-1]["at"])
+        self._happenings.survive(self._folder.times("ordered", "sim_kill"), self._plant.tick)
 
     def _open_trace(self, segments: Sequence[Segment] = ()) -> TraceWriter:
         scenario = self._scenario
@@ -279,6 +281,7 @@ class Server:
                 if time.monotonic() - self._last_progress > PROGRESS_S:
                     self._publish_progress("running", "")
                 clock.timings.end_tick(stepped - stepping, time.perf_counter_ns() - stepped)
+            self._happenings.finish()
         except Stopped:
             return False, "stopped by the operator"
         except (PlantFailed, Undone) as failure:
@@ -291,11 +294,14 @@ class Server:
 
     def _conclude(self, completed: bool, why: str) -> Outcome:
         wall_s = time.monotonic() - self._start_wall
-        self._report("ended", why=why)
         folder, trace = self._folder.path, self._trace
         assert trace is not None
+        unproven = self._happenings.proofs.missing()
+        for each in unproven:
+            self._report("unproven", text=each)
+        self._report("ended", why=why)
         trace.close()
-        ending = Ending(completed, why, wall_s)
+        ending = Ending(completed, why, wall_s, unproven)
         write_json(
             folder / RUN,
             describe_run(
@@ -316,6 +322,8 @@ class Server:
         self._auditor.look()
         audit = self._auditor.describe(self._reception.tallies, describe_agents(self._reception))
         write_json(folder / AUDIT, audit)
+        if completed and unproven:
+            why = f"{why}, but {unproven[0]}" + (f" ({len(unproven) - 1} more)" if len(unproven) > 1 else "")
         return Outcome(verdict, completed, why, self._auditor.hangs)
 
     def _publish_progress(self, phase: Any, waiting_for: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -41,12 +41,25 @@ def _judge_one(metric: str, value: object, bound: Bound) -> Judged:
     return Judged(metric, float(value), bound, "holds" if low and high else "violated")
 
 
-def overall(judged: tuple[Judged, ...], completed: bool) -> Verdict:
-    """The run's verdict: unknown if it did not reach its end (a goal not reached yet is not a goal missed), else
-    violated if any bound is, else unknown if any is."""
+def overall(judged: tuple[Judged, ...], completed: bool, unproven: Sequence[str] = ()) -> Verdict:
+    """The run's verdict: unknown if it did not reach its end (a goal not reached yet is not a goal missed), or if an
+    event of its scenario was not seen to take effect (then it is another run), else violated if any bound is, else
+    unknown if any is."""
     verdicts = {row.verdict for row in judged}
-    if not completed:
+    if not completed or unproven:
         return "unknown"
     if "violated" in verdicts:
         return "violated"
     return "unknown" if "unknown" in verdicts else "holds"
+
+
+def why_unknown(judged: tuple[Judged, ...], ended: str | None, unproven: Sequence[str]) -> list[str]:
+    """A sentence for each thing for which the verdict is unknown, or would be.
+
+    Args:
+        ended: why the run ended before its end; None if it reached it.
+        unproven: for each event without an effect that was seen.
+    """
+    unmeasured = [f"{row.metric} does not exist for this run" for row in judged if row.verdict == "unknown"]
+    early = [] if ended is None else [f"the run did not reach its end: {ended}"]
+    return [*early, *unproven, *unmeasured]

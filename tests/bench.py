@@ -17,6 +17,7 @@ from sim_server.lockstep import LockStep, Ticker
 from sim_server.plant import LoadPose, Numbers, Reading
 from sim_server.reception import LEADER, Reception, Terms
 from wire.codec import decode, decode_any, encode
+from wire.errors import Refused
 from wire.keys import Keys
 from wire.lifecycle import Invitation, Phase
 from wire.memory import Broker, MemoryQuestion, key_matches
@@ -130,7 +131,10 @@ class MemoryAgent:
         return decode(reply, Welcome).lease
 
     def _on_state(self, payload: bytes) -> None:
-        message = decode_any(payload)
+        try:
+            message = decode_any(payload)
+        except Refused:
+            return  # as every agent does
         if isinstance(message, End):
             self.ended = message.reason
             if message.reason == "the run is over":
@@ -162,7 +166,9 @@ def silent(agent: MemoryAgent, state: State | LeaderView) -> None:
 class Bench:
     """A clock, its ledger, and what it reported."""
 
-    def __init__(self, arms: tuple[str, ...] = ("a1", "a2"), *, leader: bool = False) -> None:
+    def __init__(
+        self, arms: tuple[str, ...] = ("a1", "a2"), *, leader: bool = False, timeout_s: float = TIMEOUT_S
+    ) -> None:
         self.broker = Broker()
         self.book: list[tuple[Any, ...]] = []
         self.reports: list[tuple[str, dict[str, Any]]] = []
@@ -179,7 +185,7 @@ class Bench:
             self.plant,
             period_ns=PERIOD_NS,
             leader_every=LEADER_EVERY,
-            answer_timeout_s=TIMEOUT_S,
+            answer_timeout_s=timeout_s,
             report=self._report,
         )
         self._tick = 0

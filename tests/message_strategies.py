@@ -132,7 +132,10 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
     "event": st.builds(Event, tick=integers, time_s=finite, kind=text(), details=text(1000)),
     "order": st.builds(Order, verb=st.sampled_from(["stop", "join"]), strut=integers),
     "deed": st.builds(
-        Deed, number=integers, verb=st.sampled_from(["kill", "stop", "continue", "start", "leave"]), agent=text()
+        Deed,
+        number=integers,
+        verb=st.sampled_from(["kill", "stop", "continue", "start", "leave", "hang", "slow"]),
+        agent=text(),
     ),
     "done": st.builds(Done, number=integers, problem=text(1000)),
 }

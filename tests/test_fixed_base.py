@@ -11,10 +11,10 @@ from one_arm import HOME, OneArm
 from plants import NO_STIFFNESS, QUIET, plant_of
 from worlds import EXACT
 
+from sim_server.faults.pushes import Push
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.newcomers import CannotCome, Newcomers
 from sim_server.scenario import Scenario
-from sim_server.scenario_events import Push
 from sim_server.snapshot import pack, unpack
 
 BLOCK = {"shape": "block", "size_m": [0.1, 0.1, 0.1], "mass_kg": 2.5, "struts": 1}

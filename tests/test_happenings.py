@@ -12,11 +12,16 @@ from hypothesis import strategies as st
 
 from sim_server import happenings, process_deeds
 from sim_server.errors import ScenarioError
+from sim_server.faults.event import Seen
+from sim_server.faults.grasps import FailGrasp
+from sim_server.faults.physical import PhysicalEvent
+from sim_server.faults.processes import ProcessEvent, RestartStorm, SimKill, Verb
+from sim_server.faults.pushes import Push
 from sim_server.grasping import Closing
 from sim_server.happenings import Arrivals, Happenings
 from sim_server.newcomers import CannotCome
 from sim_server.process_deeds import Undone
-from sim_server.scenario_events import AnyEvent, FailGrasp, Join, ProcessEvent, Push, Verb, check_events
+from sim_server.scenario_events import AnyEvent, Join, check_events
 from sim_server.scenario_files import load_scenario
 from sim_server.snapshot import pack, unpack
 from sim_server.world_builder import NotBuilt
@@ -36,6 +41,15 @@ def push(**changes: Any) -> dict[str, Any]:
     """A push on the load, as a file has it."""
     given = {"at_s": 1.0, "kind": "push", "point": "front", "for_s": 2.0, "force_N": [50.0, 0.0, 0.0], **changes}
     return {key: value for key, value in given.items() if value is not None}
+
+
+JOIN_A5 = {"at_s": 9.0, "kind": "join", "arm": "a5", "strut": 4}
+SIM_KILL = {"at_s": 1.5, "kind": "sim_kill"}
+
+
+def message(**changes: Any) -> dict[str, Any]:
+    """A loss of commands, as a file has it."""
+    return {"at_s": 1.0, "kind": "loss", "arm": "a1", "direction": "from", **changes}
 
 
 @pytest.mark.parametrize(
@@ -69,6 +83,38 @@ def push(**changes: Any) -> dict[str, Any]:
         ([push(hold_s=1.0)], "events.0.hold_s", ("shape 'constant'", "shape 'abrupt'")),
         ([push(period_s=1.0, shape="abrupt")], "events.0.period_s", ("shape 'smooth'",)),
         ([push(agent="a1")], "events.0.agent", ("unknown key", "force_N")),
+        ([message(arm="a9")], "events.0.arm", ("no arm 'a9'", "a1, a2, a3, a4")),
+        ([message(direction="up")], "events.0.direction", ("'to' or 'from'",)),
+        ([message(for_s=19.0)], "events.0.for_s", ("ends at 20 s", "leave it out")),
+        ([message(probability=1.5)], "events.0.probability", ("less than or equal to 1",)),
+        ([message(kind="delay", delay_ticks=0)], "events.0.delay_ticks", ("greater than or equal to 1",)),
+        ([message(burst_ticks=3)], "events.0.burst_ticks", ("unknown key", "probability")),
+        ([{"at_s": 1.0, "kind": "joint_stuck", "arm": "a1", "joint": 8}], "events.0.joint", ("equal to 7",)),
+        ([{"at_s": 1.0, "kind": "sensor_bias", "arm": "a1"}], "events.0.position_rad", ("nothing is changed",)),
+        (
+            [{"at_s": 1.0, "kind": "sensor_frozen", "arm": "a1", "channel": "wrench", "joint": 2}],
+            "events.0.joint",
+            ("not a joint's",),
+        ),
+        ([{"at_s": 1.0, "kind": "floor_step", "arm": "a1", "height_mm": 0.0}], "events.0.height_mm", ("step up",)),
+        ([{"at_s": 1.0, "kind": "added_mass", "arm": "a1"}], "events.0.arm", ("None",)),
+        (
+            [SIM_KILL, {"at_s": 1.2, "kind": "kill", "agent": "a1"}],
+            "events.0.at_s",
+            ("events.1", "at 1 s", "run again"),
+        ),
+        ([{"at_s": 0.5, "kind": "hang", "agent": "a1"}, SIM_KILL], "events.1.at_s", ("a1 is hung", "cannot greet")),
+        (
+            [
+                {"at_s": 0.5, "kind": "kill", "agent": "a4"},
+                {"at_s": 9.0, "kind": "join", "arm": "a5", "strut": 4},
+                SIM_KILL,
+            ],
+            "events.2.kind",
+            ("robots come",),
+        ),
+        ([{"at_s": 1.0, "kind": "slow", "agent": "a1", "share_percent": 0.0}], "events.0.share_percent", ("5",)),
+        ([{"at_s": t, "kind": "grasp_slip", "arm": "a1"} for t in (1.0, 3.0)], "events.1.arm", ("before",)),
         ([{"at_s": 1.0, "kind": "join", "arm": "a5", "strut": 4, "agent": "a1"}], "events.0.agent", ("unknown key",)),
         ([{"at_s": 1.0, "kind": "join", "arm": "a5", "strut": 4}], "events.0.strut", ("4 is taken by a4",)),
         (
@@ -93,26 +139,27 @@ def test_an_event_that_cannot_be_is_refused_with_file_and_key(
         assert word in str(error.value)
 
 
-verbs = st.sampled_from(["kill", "stop", "continue", "start", "leave"])
+verbs = st.sampled_from(["kill", "stop", "continue", "start", "leave", "hang"])
 
 
 @given(st.lists(verbs, max_size=6))
 def test_events_of_one_agent_are_taken_exactly_when_there_is_a_process_to_do_them_to(chain: list[Verb]) -> None:
     """A second account of the same rule: a process that is there and runs, is there and is stopped, or is not there."""
-    there, stopped, leaves, replaceable, possible = True, False, False, False, True
+    there, stopped, leaves, replaceable, possible = True, False, False, False, True  # hung is stopped, to these rules
     for verb in chain:
         possible = (
             possible
             and {
                 "kill": there,
                 "stop": there and not stopped,
+                "hang": there and not stopped,
                 "continue": there and stopped,
                 "leave": there and not stopped and not leaves,
                 "start": not there or stopped or replaceable,
             }[verb]
         )
         there, leaves = verb != "kill", verb == "leave"  # one that leaves is there until it has gone, whenever that is
-        stopped, replaceable = verb == "stop", verb in ("continue", "leave")
+        stopped, replaceable = verb in ("stop", "hang"), verb in ("continue", "leave")
     events = [ProcessEvent(at_s=float(k), kind=verb, agent="a1") for k, verb in enumerate(chain)]
     if possible:
         check_events(events, ("a1",), False, 100.0)
@@ -168,7 +215,17 @@ class PushesBook:
     """What has become of pushes since it was last looked at."""
 
     def __init__(self) -> None:
-        self.news: list[tuple[Push, str]] = []
+        self.news: list[Seen] = []
+
+
+class DamageBook(PushesBook):
+    """Likewise of physical faults."""
+
+    def begin(self, event: PhysicalEvent, tick: int, end: int | None) -> None:
+        self.news.append(Seen(event, f"from {tick} to {end}", proves=event.arm != "a1"))
+
+    def finish(self) -> None:
+        pass
 
 
 class NoHands:
@@ -177,12 +234,13 @@ class NoHands:
     def __init__(self) -> None:
         self.hands = HandsBook()
         self.disturbances = PushesBook()
+        self.damage = DamageBook()
         self.names = ["a1", "a2"]
         self.book: list[tuple[object, ...]] = []
 
     def push(self, event: Push) -> None:
         self.book.append(("push", event.arm or event.point))
-        self.disturbances.news.append((event, "50 N act"))
+        self.disturbances.news.append(Seen(event, "50 N act"))
 
     def loosen(self, arm: str, force_N: float) -> None:
         self.book.append(("loosen", arm, force_N))
@@ -202,8 +260,9 @@ class Stage:
         newcomers: Arrivals | None = None,
         waits: bool = True,
         ticks: int = 10**6,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
-        self.bench = Bench()
+        self.bench = Bench(timeout_s=timeout_s)
         self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in ("a1", "a2")}
         self.hands = NoHands()
         keys = Keys(RUN)
@@ -237,7 +296,7 @@ class Stage:
         agent = self.agents[deed.agent]
         if deed.verb == "kill":
             agent.link.close()
-        elif deed.verb == "stop":
+        elif deed.verb in ("stop", "hang"):
             agent.behave = silent
         elif deed.verb == "start":
             self.agents[deed.agent] = MemoryAgent(self.bench.broker, deed.agent, BEHAVES)
@@ -299,6 +358,64 @@ def test_a_stopped_agent_is_lost_by_its_missed_ticks_and_costs_no_time() -> None
     assert stage.run(1) < TIMEOUT_S
     (lost,) = stage.bench.reported("lost")
     assert lost["missed_ticks"] == LOST_AFTER
+
+
+def test_a_hung_agent_costs_one_timeout_and_is_lost_by_its_missed_ticks_with_its_sign_of_life_there() -> None:
+    stage = Stage(event(2, "hang"))
+    assert TIMEOUT_S <= stage.run(2 + LOST_AFTER) < 2 * TIMEOUT_S
+    (lost,) = stage.bench.reported("lost")
+    assert lost["missed_ticks"] == LOST_AFTER
+    assert stage.bench.reception.agents["a2"].alive
+    assert stage.happenings.proofs.missing() == []
+
+
+def test_a_hung_agent_that_is_let_go_in_time_goes_on_and_is_waited_for_again() -> None:
+    stage = Stage(event(2, "hang"), event(5, "continue"))
+    stage.run(10)
+    assert stage.bench.commands("a2") == [0.5, 1.5, *(tick + 0.5 for tick in range(5, 10))]
+    assert stage.bench.reported("lost") == []
+
+
+def test_a_restart_storm_is_its_kills_and_starts_each_seen() -> None:
+    stage = Stage(RestartStorm(kind="restart_storm", at_s=0.002, agent="a2", times=3, every_s=0.004))
+    stage.run(14)
+    assert stage.reported("seen") == stage.reported("ordered") == [("kill", "a2"), ("start", "a2")] * 3
+    down = (2, 3, 6, 7, 10, 11)
+    assert stage.bench.commands("a2") == [tick + 0.5 for tick in range(14) if tick not in down]
+    assert stage.agents["a2"].lease == 4
+    assert stage.happenings.proofs.missing() == []
+    with pytest.raises(ValueError, match=r"events\.1\.kind: a2 is gone at 0\.003 s"):
+        check_events(
+            [
+                RestartStorm(kind="restart_storm", at_s=0.002, agent="a2", times=3, every_s=0.004),
+                event(3, "stop"),
+            ],
+            ("a1", "a2"),
+            False,
+            1.0,
+        )
+
+
+def test_a_simulator_asks_for_its_own_death_once_and_the_next_one_knows_that_it_has_had_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(process_deeds, "DEED_S", 0.05)
+    kills = [SimKill(kind="sim_kill", at_s=at_s) for at_s in (0.002, 0.006)]
+    first, second = Stage(*kills), Stage(*kills)
+    first.do = lambda deed: ""
+    saved = unpack(pack(first.happenings.state()))
+    with pytest.raises(Undone, match=r"'sim_kill' of the simulator at 0\.002 s was not done: .* still there"):
+        first.run(3)
+    assert [(deed.verb, deed.agent) for deed in first.deeds] == [("kill", "sim")]
+    second.do = lambda deed: ""
+    second.happenings.restore(saved)
+    second.happenings.survive(1, 0)
+    assert second.run(6) < TIMEOUT_S
+    assert second.deeds == []
+    assert second.reported("seen") == [("sim_kill", "sim")]
+    assert len(second.happenings.proofs.missing()) == 1
+    with pytest.raises(Undone, match=r"0\.006 s"):
+        second.run(1)
 
 
 def test_the_transport_giving_a_stopped_agent_up_does_not_change_when_it_is_lost() -> None:

@@ -16,10 +16,10 @@ from plants import NO_STIFFNESS, plant_of, scenario
 from processes import read_events
 from test_resume import KILLED_AT, begin, drive, go_on
 
+from sim_server.faults.pushes import Push
 from sim_server.loads import load_body
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.push_shapes import FADE_S, SINES, smooth, wave_of
-from sim_server.scenario_events import Push
 from sim_server.snapshot import pack, unpack
 from sim_server.trace import read_trace
 from sim_server.world import build_world
@@ -122,7 +122,7 @@ def test_after_a_push_nothing_is_left_of_it_and_before_it_nothing_is_there() -> 
     pushed = np.any(rows, axis=1)
     np.testing.assert_array_equal(np.flatnonzero(pushed), np.arange(20, 40))
     assert not plant.world.data.xfrc_applied[plant.world.arms["a1"].hand_body].any()
-    assert [effect for _, effect in plant.disturbances.news] == ["50 N and 0 N m act", "it has ended"]
+    assert [seen.effect for seen in plant.disturbances.news] == ["50 N and 0 N m act", "it has ended"]
 
 
 def test_two_pushes_and_a_bad_grasp_add_up() -> None:
@@ -148,7 +148,7 @@ def test_a_push_in_the_middle_of_control_ticks_of_four_steps_has_its_whole_impul
     plant.push(push(point="centre_of_mass", force_N=(50.0, 0.0, 0.0), for_s=0.010))  # two ticks and a half
     step(plant, 5)
     assert momentum(plant)[0][0] == pytest.approx(0.5, abs=1e-9)
-    assert [effect for _, effect in plant.disturbances.news] == ["50 N and 0 N m act", "it has ended"]
+    assert [seen.effect for seen in plant.disturbances.news] == ["50 N and 0 N m act", "it has ended"]
 
 
 # How it goes over time
@@ -241,9 +241,8 @@ def test_a_push_goes_on_in_a_world_with_another_robot_and_ends_with_its_own() ->
     assert plant.disturbances.on_load[0] == 3.0
     plant.disturbances.news.clear()
     plant.move_to(build_world(plant.world.scenario, {"a1": 0, "a3": 2}))
-    assert [(event.arm, effect) for event, effect in plant.disturbances.news] == [
-        ("a2", "its robot has been taken away")
-    ]
+    (seen,) = plant.disturbances.news
+    assert (seen.event, seen.effect) == (push(arm="a2", force_N=(0.0, 20.0, 0.0)), "its robot has been taken away")
     plant.step()
     np.testing.assert_array_equal(plant.disturbances.on_hands, np.zeros((2, 6)))
     assert plant.disturbances.on_load[0] == 3.0

@@ -10,9 +10,9 @@ import pytest
 from processes import free_port, run_to_end
 
 from sim_server.errors import ScenarioError
+from sim_server.faults.pushes import Push
 from sim_server.metrics import METRICS
 from sim_server.scenario import Scenario
-from sim_server.scenario_events import Push
 from sim_server.scenario_files import load_scenario, shipped_names
 from sim_server.server import check_world
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from sim_server.scenario import Bound
-from sim_server.verdict import Judged, judge, overall
+from sim_server.verdict import Judged, judge, overall, why_unknown
 
 
 @pytest.mark.parametrize(
@@ -71,3 +71,18 @@ def test_only_a_run_that_ended_is_judged_and_then_one_violation_decides(
     rows = rows_of(*verdicts)
     assert [row.verdict for row in rows] == list(verdicts)
     assert overall(rows, completed) == verdict
+
+
+@pytest.mark.parametrize("verdicts", [(), ("holds",), ("violated",), ("unknown",)])
+def test_a_fault_that_was_not_seen_makes_any_verdict_unknown(verdicts: tuple[str, ...]) -> None:
+    assert overall(rows_of(*verdicts), True, ["event 'loss' of a2 at 1 s was not seen to take effect"]) == "unknown"
+
+
+def test_whatever_makes_a_verdict_unknown_is_told() -> None:
+    rows = rows_of("holds", "unknown", "violated")
+    assert why_unknown(rows, None, []) == ["unknown does not exist for this run"]
+    assert why_unknown(rows[:1], "stopped", ["an event was not seen"]) == [
+        "the run did not reach its end: stopped",
+        "an event was not seen",
+    ]
+    assert why_unknown(rows[:1], None, []) == []

@@ -20,8 +20,8 @@ from agents.controllers.interface import Sensed
 from agents.controllers.paper import PaperController
 from agents.controllers.wrist_input import WristInput
 from agents.errors import ControllerError
+from sim_server.faults.pushes import Push
 from sim_server.scenario import Scenario
-from sim_server.scenario_events import Push
 
 Array = NDArray[np.float64]
 

@@ -219,7 +219,11 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
     "order": (Order, {"verb": _one_of("stop", "join"), "strut": _integer}),
     "deed": (
         Deed,
-        {"number": _integer, "verb": _one_of("kill", "stop", "continue", "start", "leave"), "agent": _text(40)},
+        {
+            "number": _integer,
+            "verb": _one_of("kill", "stop", "continue", "start", "leave", "hang", "slow"),
+            "agent": _text(40),
+        },
     ),
     "done": (Done, {"number": _integer, "problem": _text(1000)}),
 }
