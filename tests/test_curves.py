@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from plants import QUIET, plant_of, scenario
-from processes import run_to_end
 from recorded import Array, rows_of, trace_of, write_folder
+from refused import refused
 
 from deploy.see.curves import (
     GOAL,
@@ -27,6 +27,7 @@ from deploy.see.curves import (
     curves,
 )
 from deploy.see.happenings import happening, read_happenings
+from deploy.see.plots import plot_runs
 from sim_server.metrics import TraceFacts, physical_metrics, trace_facts
 
 
@@ -93,20 +94,18 @@ def test_events_become_sentences_and_states(seen: tuple[dict[str, Array], TraceF
     assert (ordered.text, ordered.is_trouble) == ("ordered fail grasp a2", True)
 
 
-@pytest.mark.parametrize("kind", ["svg", "pdf"])
 def test_two_runs_are_plotted_beside_each_other(
-    seen: tuple[dict[str, Array], TraceFacts, Path], tmp_path: Path, kind: str
+    seen: tuple[dict[str, Array], TraceFacts, Path], tmp_path: Path
 ) -> None:
-    done = run_to_end(
-        "plot", seen[2], seen[2], "--out", "figures", "--only", "goal,share,path", "--format", kind, cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    files = sorted(path.name for path in (tmp_path / "figures").iterdir())
-    assert files == sorted(f"{name}.{kind}" for name in ("goal", "share", "path"))
-    if kind == "svg":
-        text = (tmp_path / "figures" / "share.svg").read_text()
-        for word in ("Who bears how much?", "test, seed 1 (run)", "upward force of each hand [N]", "a4"):
-            assert word in text
+    folders, out = [seen[2], seen[2]], tmp_path / "figures"
+    for kind in ("svg", "pdf"):
+        made = plot_runs(folders, out, "goal,share,path", kind)
+        assert [file.name for file in made] == [f"{name}.{kind}" for name in ("goal", "share", "path")]
+    assert len(list(out.iterdir())) == 6
+    assert (out / "goal.pdf").read_bytes().startswith(b"%PDF")
+    text = (out / "share.svg").read_text()
+    for word in ("Who bears how much?", "test, seed 1 (run)", "upward force of each hand [N]", "a4"):
+        assert word in text
 
 
 REFUSED = {
@@ -118,10 +117,15 @@ REFUSED = {
 
 @pytest.mark.parametrize(("arguments", "said"), REFUSED.values(), ids=REFUSED)
 def test_what_cannot_be_plotted_is_refused_in_one_sentence(
-    seen: tuple[dict[str, Array], TraceFacts, Path], tmp_path: Path, arguments: list[str], said: str
+    seen: tuple[dict[str, Array], TraceFacts, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    said: str,
 ) -> None:
-    done = run_to_end("plot", *(seen[2] if word == "RUN" else word for word in arguments), cwd=tmp_path)
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
-    assert said in done.stderr
+    monkeypatch.chdir(tmp_path)
+    status, sentence = refused(["plot", *(seen[2] if word == "RUN" else word for word in arguments)])
+    assert status == 2
+    assert len(sentence.splitlines()) == 1
+    assert said in sentence
     assert not any(tmp_path.iterdir())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from plants import QUIET, plant_of, scenario
 from processes import read_json, run_to_end
 from recorded import Array, rows_of, trace_of
+from refused import refused
 
 from deploy.see.curves import QUESTIONS, TICK, Question, Start, curves
 from deploy.see.live import LiveRun, Unfitting
@@ -208,14 +210,17 @@ def test_a_replay_of_the_trace_is_the_recording_but_for_wall_times(recorded: Pat
 
 @pytest.mark.system
 def test_where_there_is_no_screen_the_viewer_is_not_started_and_it_is_said_what_to_do(
-    recorded: Path, tmp_path: Path
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    blind = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
     for verb in (["view", str(recorded)], ["run", "hold", "--view", "--out", "run"]):
-        done = run_to_end(*verb, cwd=tmp_path, environment=blind)
-        assert done.returncode == 3
-        assert len(done.stderr.splitlines()) == 1
-        assert "there is no screen for the viewer" in done.stderr
+        status, sentence = refused(verb)
+        assert status == 3
+        assert len(sentence.splitlines()) == 1
+        assert "there is no screen for the viewer" in sentence
     assert not any(tmp_path.iterdir())
 
 
@@ -229,12 +234,13 @@ REFUSED = {
 
 @pytest.mark.parametrize(("arguments", "status", "said"), REFUSED.values(), ids=REFUSED)
 def test_what_cannot_be_recorded_is_refused_in_one_sentence(
-    tmp_path: Path, arguments: list[str], status: int, said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], status: int, said: str
 ) -> None:
-    done = run_to_end(*arguments, cwd=tmp_path)
-    assert done.returncode == status
-    assert len(done.stderr.splitlines()) == 1
-    assert said in done.stderr
+    monkeypatch.chdir(tmp_path)
+    got, sentence = refused(arguments)
+    assert got == status
+    assert len(sentence.splitlines()) == 1
+    assert said in sentence
     assert not any(tmp_path.iterdir())
 
 
