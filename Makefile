@@ -66,12 +66,10 @@ test: lint ## lint, then all tests (PYTEST_ARGS=... is passed on)
 # BASE=... for another base image, such as one that was made without the internet (docs/containers.md).
 .PHONY: images
 images: ## build the images palanquin-follower and palanquin-sim (needs Docker; BASE=... chooses the base)
-	@echo "== images: $(IMAGES:%=palanquin-%)"
-	@builds=(); for role in $(IMAGES); do \
-	  docker build --quiet $(if $(BASE),--build-arg BASE=$(BASE)) -f deploy/Dockerfile --target $$role -t palanquin-$$role . & \
-	  builds+=($$!); \
-	done; \
-	for build in "$${builds[@]}"; do wait $$build; done
+	@for role in $(IMAGES); do \
+	  echo "== image palanquin-$$role"; \
+	  docker build --quiet $(if $(BASE),--build-arg BASE=$(BASE)) -f deploy/Dockerfile --target $$role -t palanquin-$$role .; \
+	done
 
 .PHONY: test-containers
 test-containers: install images ## build the images, then test a carry in containers (needs Docker and Compose)
