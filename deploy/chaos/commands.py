@@ -10,9 +10,11 @@ from typing import Annotated, Any
 
 import typer
 
+from deploy.chaos.bench_commands import app as bench_app
 from wire.errors import CredentialError
 
 app = typer.Typer(help="Attack a run on purpose, and see what holds.", no_args_is_help=True)
+app.add_typer(bench_app)
 
 
 @app.command()

@@ -1,0 +1,126 @@
+"""The faults that storms and the matrix draw: each with its target and the ranges of its times and strengths.
+
+A row is drawn into one event of a scenario, or two (a kill and the start that follows). Kinds of events that have no
+row here get one by themselves, with the strengths that are their defaults: see :func:`faults`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from sim_server.scenario_files import EVENT_KINDS
+
+Event = dict[str, Any]
+Draws = np.random.Generator
+Target = Literal["arm", "agent", "leader", "load"]
+
+DIGITS = 3
+"""Of drawn times and strengths: a schedule shall be read by people, and a tick is a millisecond."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Where a number is drawn from, evenly."""
+
+    low: float
+    high: float
+
+    def draw(self, draws: Draws) -> float:
+        return round(float(draws.uniform(self.low, self.high)), DIGITS)
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One row."""
+
+    name: str
+    kind: str
+    """Of the event."""
+    target: Target
+    for_s: Span | None = None
+    strengths: Mapping[str, Span] = field(default_factory=dict)
+    vectors: Mapping[str, Span] = field(default_factory=dict)
+    """Lengths of vectors whose direction is drawn in the plane; of torques, about the vertical, to either side."""
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+    then: tuple[str, Span] | None = None
+    """A second event of the same target, so much later."""
+    ends: bool = False
+    """What it strikes does not carry on as before: no other fault that needs it can be relied on to take effect."""
+
+    def draw(self, draws: Draws, arms: Sequence[str], window_s: Span) -> list[Event]:
+        """Its events, in order of time."""
+        event: Event = {"at_s": window_s.draw(draws), "kind": self.kind}
+        if self.target in ("arm", "agent"):
+            event[self.target] = str(draws.choice(list(arms)))
+        elif self.target == "leader":
+            event["agent"] = "leader"
+        event |= self.fixed
+        if self.for_s is not None:
+            event["for_s"] = self.for_s.draw(draws)
+        event |= {key: span.draw(draws) for key, span in self.strengths.items()}
+        event |= {key: _vector(key, span, draws) for key, span in self.vectors.items()}
+        if self.then is None:
+            return [event]
+        kind, after_s = self.then
+        second: Event = {"at_s": round(event["at_s"] + after_s.draw(draws), DIGITS), "kind": kind}
+        return [event, second | {key: event[key] for key in ("agent", "arm") if key in event}]
+
+
+def _vector(key: str, length: Span, draws: Draws) -> list[float]:
+    size, angle = length.draw(draws), float(draws.uniform(0.0, 2.0 * np.pi))
+    if "torque" in key:
+        return [0.0, 0.0, size if np.sin(angle) >= 0 else -size]
+    return [round(size * float(np.cos(angle)), DIGITS), round(size * float(np.sin(angle)), DIGITS), 0.0]
+
+
+PUSH_S = Span(0.3, 2.0)
+LOAD = {"point": "centre_of_mass"}
+
+ROWS: tuple[Fault, ...] = (
+    Fault("kill", "kill", "agent", ends=True),
+    Fault("kill-start", "kill", "agent", then=("start", Span(0.3, 2.0)), ends=True),
+    Fault("stop", "stop", "agent", ends=True),
+    # Shorter than the 20 missed ticks at which an arm is lost.
+    Fault("stop-continue", "stop", "agent", then=("continue", Span(0.002, 0.018))),
+    Fault("leave", "leave", "agent", ends=True),
+    Fault("leader-kill", "kill", "leader", ends=True),
+    Fault("leader-kill-start", "kill", "leader", then=("start", Span(0.3, 2.0)), ends=True),
+    Fault("leader-stop", "stop", "leader", ends=True),
+    Fault("fail_grasp", "fail_grasp", "arm", for_s=Span(0.3, 2.0), strengths={"force_N": Span(5.0, 40.0)}, ends=True),
+    Fault("push-hand", "push", "arm", PUSH_S, vectors={"force_N": Span(10.0, 80.0)}),
+    Fault("push-hand-smooth", "push", "arm", PUSH_S, vectors={"force_N": Span(10.0, 80.0)}, fixed={"shape": "smooth"}),
+    Fault("push-hand-abrupt", "push", "arm", PUSH_S, vectors={"force_N": Span(10.0, 80.0)}, fixed={"shape": "abrupt"}),
+    Fault("push-load", "push", "load", PUSH_S, vectors={"force_N": Span(10.0, 120.0)}, fixed=LOAD),
+    Fault("bump-load", "push", "load", Span(0.02, 0.1), vectors={"force_N": Span(100.0, 500.0)}, fixed=LOAD),
+    Fault("twist-load", "push", "load", PUSH_S, vectors={"torque_Nm": Span(5.0, 40.0)}, fixed=LOAD),
+)
+"""The rows with stated ranges."""
+
+NOT_DRAWN = ("start", "continue", "join")
+"""Kinds that undo a fault, or that need a world of their own."""
+
+
+def faults() -> tuple[Fault, ...]:
+    """All rows: those above, and one for every other kind of event that there is, with its default strengths."""
+    stated = {row.kind for row in ROWS}
+    return ROWS + tuple(_by_its_keys(kind) for kind in EVENT_KINDS if kind not in stated and kind not in NOT_DRAWN)
+
+
+def _by_its_keys(kind: str) -> Fault:
+    """A row for a kind that this file does not know: its target and duration by the keys that its model has."""
+    keys: Collection[str] = EVENT_KINDS[kind].model_fields
+    target: Target = "arm" if "arm" in keys else "agent" if "agent" in keys else "load"
+    return Fault(kind, kind, target, for_s=Span(0.3, 2.0) if "for_s" in keys else None)
+
+
+def named(names: Sequence[str]) -> tuple[Fault, ...]:
+    """The rows of these names; all without any. Raises ValueError with what there is."""
+    known = {row.name: row for row in faults()}
+    for name in names:
+        if name not in known:
+            raise ValueError(f"got {name!r}, expected one of {', '.join(known)}")
+    return tuple(known[name] for name in dict.fromkeys(names)) if names else tuple(known.values())
