@@ -96,7 +96,7 @@ def draw_storm(carry: Carry, seed: int, count: int, rows: Sequence[Fault] | None
     struck: dict[str, list[Fault]] = {}
     usable = [row for row in rows if row.target != "leader" or scenario.leader is not None]
     for number in range(count):
-        for _ in range(TRIES):
+        for _ in range(TRIES if usable else 0):
             row = usable[int(draws.integers(len(usable)))]
             drawn = row.draw(draws, scenario.arms, carry.window_s)
             target = str(drawn[0].get("agent") or drawn[0].get("arm") or "")
