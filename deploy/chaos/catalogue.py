@@ -6,9 +6,9 @@ row here get one by themselves, with the strengths that are their defaults: see 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 
@@ -45,6 +45,11 @@ class Fault:
     strengths: Mapping[str, Span] = field(default_factory=dict)
     vectors: Mapping[str, Span] = field(default_factory=dict)
     """Lengths of vectors whose direction is drawn in the plane; of torques, about the vertical, to either side."""
+    counts: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """Whole numbers, from the first to the second."""
+    choices: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    another_arm: str = ""
+    """The key that gets the name of an arm that is not struck."""
     fixed: Mapping[str, Any] = field(default_factory=dict)
     then: tuple[str, Span] | None = None
     """A second event of the same target, so much later."""
@@ -63,6 +68,10 @@ class Fault:
             event["for_s"] = self.for_s.draw(draws)
         event |= {key: span.draw(draws) for key, span in self.strengths.items()}
         event |= {key: _vector(key, span, draws) for key, span in self.vectors.items()}
+        event |= {key: int(draws.integers(low, high, endpoint=True)) for key, (low, high) in self.counts.items()}
+        event |= {key: str(draws.choice(list(words))) for key, words in self.choices.items()}
+        if self.another_arm:
+            event[self.another_arm] = str(draws.choice([arm for arm in arms if arm != event.get("arm")] or list(arms)))
         if self.then is None:
             return [event]
         kind, after_s = self.then
@@ -79,6 +88,14 @@ def _vector(key: str, length: Span, draws: Draws) -> list[float]:
 
 PUSH_S = Span(0.3, 2.0)
 LOAD = {"point": "centre_of_mass"}
+
+
+def _message(kind: str, **ranges: Any) -> Fault:
+    """A fault of one arm's messages, its states or its commands."""
+    return Fault(kind, kind, "arm", for_s=Span(0.5, 3.0), choices={"direction": ("to", "from")}, **ranges)
+
+
+OFTEN = {"probability": Span(0.05, 0.5)}
 
 ROWS: tuple[Fault, ...] = (
     Fault("kill", "kill", "agent", ends=True),
@@ -97,24 +114,46 @@ ROWS: tuple[Fault, ...] = (
     Fault("push-load", "push", "load", PUSH_S, vectors={"force_N": Span(10.0, 120.0)}, fixed=LOAD),
     Fault("bump-load", "push", "load", Span(0.02, 0.1), vectors={"force_N": Span(100.0, 500.0)}, fixed=LOAD),
     Fault("twist-load", "push", "load", PUSH_S, vectors={"torque_Nm": Span(5.0, 40.0)}, fixed=LOAD),
+    Fault("grasp_slip", "grasp_slip", "arm", ends=True),
+    _message("delay", counts={"delay_ticks": (1, 10)}),
+    _message("jitter", counts={"jitter_ticks": (1, 8)}),
+    _message("loss", strengths=OFTEN),
+    _message("burst_loss", strengths={"probability": Span(0.01, 0.05)}, counts={"burst_ticks": (5, 19)}),
+    _message("duplicate", strengths=OFTEN),
+    _message("reorder", strengths=OFTEN),
+    _message("stale", counts={"age_ticks": (2, 10)}),
+    _message("truncate", strengths=OFTEN),
+    _message("bit_flip", strengths=OFTEN, counts={"bits": (1, 4)}),
+    _message("nan", strengths=OFTEN),
+    _message("wrong_arm", strengths=OFTEN, another_arm="name"),
 )
-"""The rows with stated ranges."""
+"""The rows with stated ranges; those whose kind there is not are left out."""
 
-NOT_DRAWN = ("start", "continue", "join")
-"""Kinds that undo a fault, or that need a world of their own."""
+NOT_DRAWN = ("start", "continue", "join", "bump")
+"""Kinds that undo a fault, that need a world of their own, or that are another word for a kind above."""
 
 
 def faults() -> tuple[Fault, ...]:
     """All rows: those above, and one for every other kind of event that there is, with its default strengths."""
-    stated = {row.kind for row in ROWS}
-    return ROWS + tuple(_by_its_keys(kind) for kind in EVENT_KINDS if kind not in stated and kind not in NOT_DRAWN)
+    stated = tuple(row for row in ROWS if row.kind in EVENT_KINDS)
+    others = EVENT_KINDS.keys() - {row.kind for row in stated} - set(NOT_DRAWN)
+    return stated + tuple(_by_its_keys(kind) for kind in EVENT_KINDS if kind in others)
 
 
 def _by_its_keys(kind: str) -> Fault:
-    """A row for a kind that this file does not know: its target and duration by the keys that its model has."""
-    keys: Collection[str] = EVENT_KINDS[kind].model_fields
+    """A row for a kind that this file does not know, by the keys of its model: whom it strikes, and what it must say.
+
+    What is no word out of several, and has no default, cannot be drawn so: then every draw is refused, and a test says
+    that the kind needs a row.
+    """
+    keys = EVENT_KINDS[kind].model_fields
     target: Target = "arm" if "arm" in keys else "agent" if "agent" in keys else "load"
-    return Fault(kind, kind, target, for_s=Span(0.3, 2.0) if "for_s" in keys else None)
+    words = {
+        key: get_args(info.annotation)
+        for key, info in keys.items()
+        if key != "kind" and info.is_required() and get_origin(info.annotation) is Literal
+    }
+    return Fault(kind, kind, target, for_s=Span(0.3, 2.0) if "for_s" in keys else None, choices=words)
 
 
 def named(names: Sequence[str]) -> tuple[Fault, ...]:

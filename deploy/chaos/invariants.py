@@ -232,7 +232,7 @@ def unseen_faults(schedule: Sequence[Mapping[str, Any]], events: Sequence[Mappin
 
 
 def _target(event: Mapping[str, Any]) -> str:
-    return str(event.get("agent") or event.get("arm") or event.get("point") or "the load")
+    return str(event.get("agent") or event.get("arm") or event.get("point") or "load")
 
 
 def _arms(record: Record) -> list[str]:

@@ -15,6 +15,8 @@ from deploy.chaos.catalogue import DIGITS, Event
 
 Fails = Callable[[Sequence[Event]], bool]
 
+NOT_STRENGTHS = ("at_s", "joint", "strut")
+"""Keys whose numbers are moments and names."""
 HALVINGS = 4
 """Of a strength or duration: what is left is at most a sixteenth of it above the smallest that fails, if what is
 stronger fails as well."""
@@ -104,7 +106,7 @@ def weakest(events: Sequence[Event], fails: Fails) -> list[Event]:
     left = list(events)
     for place, event in enumerate(events):
         for key, value in event.items():
-            if key == "at_s" or not _is_strength(value):
+            if key in NOT_STRENGTHS or not _is_strength(value):
                 continue
             low, high = 0.0, 1.0
             for _ in range(HALVINGS):
@@ -118,13 +120,16 @@ def weakest(events: Sequence[Event], fails: Fails) -> list[Event]:
 
 
 def _is_strength(value: object) -> bool:
-    """Whether a key's value is a number or a vector that can be made smaller; whole numbers are counts or names."""
+    """Whether a key's value is a number or a vector that can be made smaller."""
     if isinstance(value, list | tuple):
         return any(map(_is_strength, value))
-    return isinstance(value, float) and value != 0.0
+    return isinstance(value, float | int) and not isinstance(value, bool) and value != 0
 
 
 def _scaled(value: object, factor: float) -> object:
+    """A count stays whole, and at least one."""
     if isinstance(value, list | tuple):
         return [_scaled(each, factor) for each in value]
+    if isinstance(value, int) and not isinstance(value, bool):
+        return max(1, round(value * factor))
     return round(value * factor, DIGITS) if isinstance(value, float) else value
