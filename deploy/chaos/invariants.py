@@ -89,7 +89,10 @@ def torque_limits(record: Record, bounds: Bounds) -> Finding:
     over = [np.abs(record.trace[f"{arm}.tau"]) - limits for arm in _arms(record)]
     worst = np.max(np.nan_to_num(over, nan=-np.inf), axis=(0, 2))
     rounding = 1e-9  # the driver clips to the very limit; this is for other recorders' arithmetic
-    return _bounded("torque_limits", record, worst, rounding, "N m", "beyond a joint's limit")
+    found = _bounded("torque_limits", record, worst, rounding, "N m", "beyond a joint's limit")
+    if found.verdict == "holds":
+        return replace(found, why=f"every joint at least {max(0.0, -float(worst.max())):.3g} N m below its limit")
+    return found
 
 
 def others_carry(record: Record, bounds: Bounds) -> Finding:
