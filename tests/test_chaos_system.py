@@ -100,8 +100,14 @@ def test_what_cannot_be_drawn_is_one_sentence_and_leaves_nothing(tmp_path: Path)
     none = run_to_end("chaos", "storm", "--only", "meteor", "--out", "x", cwd=tmp_path)
     full = run_to_end("chaos", "storm", "--only", "leader-kill", "--faults", "3", "--out", "x", cwd=tmp_path)
     assert none.returncode == full.returncode == 2
+    assert [path.name for path in tmp_path.iterdir()] == []
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "mine").touch()
+    taken = run_to_end("chaos", "storm", "--only-draw", "--out", "x", cwd=tmp_path)
+    assert taken.returncode == 2
+    assert "x is there already: expected a new or an empty folder" in taken.stderr
     assert "got 'meteor', expected one of " in none.stderr
     assert full.stderr.strip() == (
         "palanquin: --faults 3: there is room for 1 in this storm: expected fewer, or more arms"
     )
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in (tmp_path / "x").iterdir()] == ["mine"]

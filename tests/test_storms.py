@@ -13,14 +13,14 @@ from deploy.chaos.catalogue import NOT_DRAWN, Fault, Span, faults, named
 from deploy.chaos.lost import LOSSES, draw_losses, rows_of, run_of
 from deploy.chaos.matrix import CONTROL, Judged, judged, plan_matrix, report, table
 from deploy.chaos.outcome import OUTCOMES, Judgement, Outcome
-from deploy.chaos.storm import StormError, carry_of, draw_storm, scenario_text, short_carry
+from deploy.chaos.storm import StormError, carry_in, carry_of, draw_storm, scenario_text, short_carry
 from deploy.settings import scenario_changes, toml_value
 from sim_server.scenario_files import EVENT_KINDS, load_scenario
 
 seeds = st.integers(0, 2**32)
 
 
-@settings(max_examples=60, deadline=None)  # a draw checks the whole scenario some ten times: milliseconds
+@settings(max_examples=60, deadline=None)
 @given(seeds, st.integers(0, 6), st.sampled_from([4, 6]), st.sampled_from(["paper", "palanquin"]))
 def test_every_storm_is_a_scenario_whose_file_says_what_was_drawn(seed: int, count: int, arms: int, law: str) -> None:
     carry = short_carry(arms, law)
@@ -69,6 +69,21 @@ def test_a_storm_on_a_scenario_of_the_users_keeps_its_events_and_names_its_file(
     assert (team.count, team.controller) == (5, "palanquin")
 
 
+def test_what_is_cut_out_of_a_storms_file_stands_without_it(tmp_path: Path) -> None:
+    (tmp_path / "heavy.toml").write_text('extends = "transport"\ndescription = "mine"\n[load]\nmass_kg = 30.0\n')
+    storm, cut = tmp_path / "storm.toml", tmp_path / "there" / "cut.toml"
+    storm.write_text(
+        'extends = "heavy"\ndescription = "storm"\nduration_s = 9.0\n[expect]\ntilt_max_deg = { max = 3.0 }\n'
+        '[[events]]\nat_s = 1.0\nkind = "kill"\nagent = "a1"\n[[events]]\nat_s = 2.0\nkind = "kill"\nagent = "a2"\n'
+    )
+    whole = load_scenario(str(storm)).scenario
+    cut.parent.mkdir()
+    cut.write_text(scenario_text(carry_in(str(storm)), [{"at_s": 2.0, "kind": "kill", "agent": "a2"}], 1, "storm"))
+    storm.unlink()
+    assert load_scenario(str(cut)).scenario == whole.model_copy(update={"events": whole.events[1:]})
+    assert carry_in("transport").scenario == "transport"
+
+
 def test_a_storm_without_room_is_refused_with_how_many_there_is_room_for() -> None:
     with pytest.raises(StormError, match=r"--faults 9: there is room for 4 "):
         draw_storm(short_carry(4, "paper"), 1, 9, named(["kill"]))
@@ -90,6 +105,7 @@ def test_an_unknown_fault_is_refused_with_what_there_is() -> None:
         named(["kil"])
 
 
+@settings(deadline=None)  # of wall time, which tells nothing on a busy machine
 @given(st.floats(-100, 100), st.floats(0, 50), seeds)
 def test_a_span_draws_within_itself(low: float, length: float, seed: int) -> None:
     import numpy as np

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT
 
 if TYPE_CHECKING:
-    from deploy.chaos.catalogue import Event, Fault
+    from deploy.chaos.catalogue import Fault
     from deploy.chaos.outcome import Judgement
 
 app = typer.Typer()
@@ -49,18 +46,19 @@ def storm(
     The schedule is a scenario file, storm.toml, that anybody can run again. Status 0 if all invariants hold, 1 if one
     is violated, 3 if one is unknown: a fault that was not seen to take effect makes the run unknown.
     """
+    from deploy.chaos.printing import print_events
     from deploy.chaos.storm import carry_of, draw_storm, scenario_text
 
     carry = carry_of(scenario, arms, preset)
     events = draw_storm(carry, seed, faults, _rows(only))
-    folder = _folder(out, f"storm-{seed}")
+    folder = _new_folder(out, f"storm-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / STORM
     file.write_text(
         scenario_text(carry, events, seed, f"A storm of {faults} faults, drawn from seed {seed}."), encoding="utf-8"
     )
     console = _console()
-    _print_events(console, events)
+    print_events(console, events)
     console.print(f"scenario: {file}", soft_wrap=True, markup=False)
     if only_draw:
         return
@@ -76,7 +74,7 @@ def run_(
     out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
 ) -> None:
     """Run a scenario and hold the invariants against it, in place of the scenario's own `[expect]`."""
-    judgement = _run_and_print(_console(), scenario, _folder(out, Path(scenario).stem))
+    judgement = _run_and_print(_console(), scenario, _new_folder(out, Path(scenario).stem))
     raise typer.Exit(OF_VERDICT[judgement.verdict])
 
 
@@ -84,11 +82,12 @@ def run_(
 def judge(folder: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]) -> None:
     """Hold the invariants against a run that is there."""
     from deploy.chaos.outcome import judge_folder
+    from deploy.chaos.printing import print_judgement
     from sim_server.run_folder import read_run
 
     read_run(folder)
     judgement = judge_folder(folder)
-    _print_judgement(_console(), judgement)
+    print_judgement(_console(), judgement)
     raise typer.Exit(OF_VERDICT[judgement.verdict])
 
 
@@ -103,19 +102,21 @@ def shrink(
     Leaves shrunk.toml; `palanquin chaos run shrunk.toml` shows the violation. Every try is a run of its own, and those
     that are there are not run again. Status 0 if it was cut down, 3 if the run violates nothing.
     """
+    from deploy.chaos.printing import print_events, print_judgement
     from deploy.chaos.shrink import shrink as cut_down
-    from deploy.chaos.storm import carry_of, in_time, scenario_text
-    from deploy.chaos.trials import failing_as, try_one
+    from deploy.chaos.storm import carry_in, in_time, scenario_text
+    from deploy.chaos.trials import failing_as, tried
     from sim_server.scenario_files import load_scenario
+    from sim_server.server import default_folder
 
     named = load_scenario(scenario)
-    seed, carry = named.scenario.seed, carry_of(scenario, None, None)
+    seed, carry = named.scenario.seed, carry_in(scenario)
     events = in_time([event.model_dump(mode="json", exclude_none=True) for event in named.scenario.events])
-    folder, console = _folder(out, f"shrink-{named.name}"), _console()
+    folder = (out or default_folder(Path("runs"), f"shrink-{named.name}")).absolute()
+    console = _console()
     tries = folder / "tries"
-    run = carry.run("shrink", "whole", "", events, seed)
-    first = try_one(run, tries / run.place)
-    _print_judgement(console, first)
+    first = tried(carry.run("shrink", "whole", "", events, seed), tries)
+    print_judgement(console, first)
     if not first.violated:
         console.print("it violates nothing: there is nothing to cut down", style="yellow")
         raise typer.Exit(COULD_NOT_RUN)
@@ -124,7 +125,7 @@ def shrink(
     file = folder / SHRUNK
     what = f"{named.name}, cut down to what violates {first.violated[0].invariant}."
     file.write_text(scenario_text(carry, shrunk.events, seed, what), encoding="utf-8")
-    _print_events(console, shrunk.events)
+    print_events(console, shrunk.events)
     if not shrunk.is_done:
         console.print(f"{most} runs were not enough to know that no less violates it", style="yellow")
     console.print(f"palanquin chaos run {shlex.quote(str(file))}", soft_wrap=True, markup=False)
@@ -149,13 +150,14 @@ def matrix(
     from deploy.batch import LocalEngine
     from deploy.chaos.matrix import describe, judged, plan_matrix, report, table
     from deploy.chaos.outcome import verdict_of
+    from deploy.chaos.printing import runs_bar
     from deploy.chaos.survival_map import draw_map
     from deploy.chaos.trials import cost_text, try_all
     from sim_server.run_folder import write_json
 
     cells = plan_matrix(_rows(only), arms or [4, 6], preset or ["paper", "palanquin"], range(1, 1 + seeds))
     runs, console = [run for cell in cells for run in cell.runs], _console()
-    with _bar(console) as told:
+    with runs_bar(console) as told:
         found = judged(cells, try_all(runs, out, LocalEngine(at_once), told))
     command, picture = "palanquin " + shlex.join(sys.argv[1:]), "survival.png"
     draw_map(found, out / picture)
@@ -181,13 +183,14 @@ def lost(
     from deploy.batch import LocalEngine
     from deploy.chaos.lost import draw_losses, rows_of, run_of
     from deploy.chaos.outcome import OUTCOMES, verdict_of
+    from deploy.chaos.printing import runs_bar
     from deploy.chaos.trials import cost_text, try_all
     from deploy.report import plain_table
     from sim_server.scenario_files import load_scenario
 
     losses = draw_losses(load_scenario("transport").scenario.arms, ticks, seed)
     runs, console = [run_of(loss, preset, seed) for loss in losses], _console()
-    with _bar(console) as told:
+    with runs_bar(console) as told:
         by_place = try_all(runs, out, LocalEngine(at_once), told)
     judgements = [by_place[run.place] for run in runs]
     numbers = ("worst tilt, deg", "lowest height, m", "worst goal error, m")
@@ -211,10 +214,15 @@ def _rows(names: list[str] | None) -> tuple[Fault, ...]:
         raise typer.BadParameter(f"--only: {error}") from None
 
 
-def _folder(out: Path | None, name: str) -> Path:
+def _new_folder(out: Path | None, name: str) -> Path:
+    """The folder that was asked for, or a dated one. Raises RunFolderError if there is something in it."""
+    from sim_server.run_folder import RunFolderError
     from sim_server.server import default_folder
 
-    return (out or default_folder(Path("runs"), name)).absolute()
+    folder = (out or default_folder(Path("runs"), name)).absolute()
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise RunFolderError(f"{folder} is there already: expected a new or an empty folder; choose another with --out")
+    return folder
 
 
 def _console() -> Console:
@@ -223,18 +231,8 @@ def _console() -> Console:
     return PatientConsole()
 
 
-@contextmanager
-def _bar(console: Console) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar of runs; gives what is told how many are there, and how many there are to be."""
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console
-    )
-    with bar:
-        task = bar.add_task("runs", total=None)
-        yield lambda there, total: bar.update(task, completed=there, total=total)
-
-
 def _run_and_print(console: Console, scenario: str, folder: Path) -> Judgement:
+    from deploy.chaos.printing import print_judgement
     from deploy.chaos.trials import try_one
     from deploy.planned_run import Run
     from sim_server.scenario_files import load_scenario
@@ -242,30 +240,6 @@ def _run_and_print(console: Console, scenario: str, folder: Path) -> Judgement:
     seed = load_scenario(scenario).scenario.seed
     with console.status("carrying"):
         judgement = try_one(Run("chaos", Path(scenario).stem, "", scenario, {}, seed), folder)
-    _print_judgement(console, judgement)
+    print_judgement(console, judgement)
     console.print(f"run folder: {folder}", soft_wrap=True, markup=False)
     return judgement
-
-
-def _print_events(console: Console, events: Sequence[Event]) -> None:
-    """A line an event."""
-    for event in events:
-        rest = {key: value for key, value in event.items() if key not in ("at_s", "kind")}
-        words = ", ".join(f"{key} {value}" for key, value in rest.items())
-        console.print(f"{event['at_s']:8.3f} s  {event['kind']}: {words}", markup=False, highlight=False)
-
-
-def _print_judgement(console: Console, judgement: Judgement) -> None:
-    """The table of the invariants, what became of the load, and the verdict."""
-    from rich.markup import escape
-
-    from deploy.chaos.outcome import OUTCOMES
-    from deploy.report import VERDICT_STYLE, plain_table
-
-    table = plain_table("invariant", "verdict", "")
-    for finding in judgement.findings:
-        style = VERDICT_STYLE[finding.verdict]
-        table.add_row(finding.invariant, f"[{style}]{finding.verdict}[/]", escape(finding.text))
-    console.print(table)
-    console.print(f"{judgement.outcome}: {OUTCOMES[judgement.outcome]}", soft_wrap=True, highlight=False)
-    console.print(f"verdict: [{VERDICT_STYLE[judgement.verdict]}]{judgement.verdict}[/]")

@@ -95,7 +95,14 @@ def _message(kind: str, **ranges: Any) -> Fault:
     return Fault(kind, kind, "arm", for_s=Span(0.5, 3.0), choices={"direction": ("to", "from")}, **ranges)
 
 
+def _body(name: str, kind: str, **ranges: Any) -> Fault:
+    """A physical fault of one robot."""
+    return Fault(name, kind, "arm", for_s=Span(0.5, 3.0), **ranges)
+
+
 OFTEN = {"probability": Span(0.05, 0.5)}
+ANY_JOINT = {"joint": (1, 7)}
+ANY_CHANNEL = {"channel": ("q", "qd", "tau", "wrench")}
 
 ROWS: tuple[Fault, ...] = (
     Fault("kill", "kill", "agent", ends=True),
@@ -126,8 +133,24 @@ ROWS: tuple[Fault, ...] = (
     _message("bit_flip", strengths=OFTEN, counts={"bits": (1, 4)}),
     _message("nan", strengths=OFTEN),
     _message("wrong_arm", strengths=OFTEN, another_arm="name"),
+    _body("joint_stuck", "joint_stuck", counts=ANY_JOINT),
+    _body("torque_loss", "torque_loss", counts=ANY_JOINT, strengths={"factor": Span(0.0, 0.8)}),
+    _body("torque_saturation", "torque_saturation", counts=ANY_JOINT, strengths={"limit_Nm": Span(2.0, 20.0)}),
+    _body("sensor_bias-position", "sensor_bias", counts=ANY_JOINT, strengths={"position_rad": Span(0.002, 0.02)}),
+    _body("sensor_bias-wrench", "sensor_bias", strengths={"wrench_N": Span(2.0, 20.0)}),
+    _body("sensor_noise", "sensor_noise", strengths={"position_rad": Span(1e-3, 5e-3), "torque_Nm": Span(0.1, 1.0)}),
+    _body("sensor_dropout", "sensor_dropout", choices=ANY_CHANNEL, strengths=OFTEN),
+    _body("sensor_frozen", "sensor_frozen", choices=ANY_CHANNEL),
+    _body("wrist_dead", "wrist_dead"),
+    _body("wheel_slip", "wheel_slip", strengths={"factor": Span(0.0, 0.7)}),
+    _body("wheel_stuck", "wheel_stuck", strengths={"friction_N": Span(50.0, 400.0)}),
+    _body("floor_step", "floor_step", strengths={"height_mm": Span(2.0, 20.0)}),
+    Fault("added_mass", "added_mass", "load", Span(0.5, 3.0), {"mass_kg": Span(1.0, 10.0)}),
 )
 """The rows with stated ranges; those whose kind there is not are left out."""
+
+WEAK_ENDS: Mapping[str, float] = {"factor": 1.0, "limit_Nm": 87.0}
+"""Where a strength does nothing any more, if that is not at zero: all of a torque; the largest of an arm's limits."""
 
 NOT_DRAWN = ("start", "continue", "join", "bump")
 """Kinds that undo a fault, that need a world of their own, or that are another word for a kind above."""

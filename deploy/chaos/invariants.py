@@ -6,7 +6,7 @@ invariant, but none holds in it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.chaos.record import Array, Record
+from deploy.chaos.sights import unseen_faults
 from sim_server.metrics import goal_distance_m, tilt_deg
 from sim_server.verdict import Verdict
 
@@ -209,33 +210,6 @@ def _last(record: Record) -> NDArray[np.bool_]:
     """Which rows are of the last second, (rows,)."""
     time_s = record.trace["time_s"]
     return np.asarray(time_s >= time_s[-1] - LAST_S)
-
-
-def unseen_faults(schedule: Sequence[Mapping[str, Any]], events: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Those of the scheduled events that were not both ordered and seen, in words.
-
-    An event counts as seen by the first sight of its kind and target after it was ordered.
-    """
-    ordered: dict[tuple[str, str], int] = {}
-    seen: dict[tuple[str, str], int] = {}
-    for event in events:
-        key = str(event.get("event", "")), _target(event)
-        if event["kind"] == "ordered":
-            ordered[key] = ordered.get(key, 0) + 1
-        elif event["kind"] == "seen" and seen.get(key, 0) < ordered.get(key, 0):
-            seen[key] = seen.get(key, 0) + 1
-    unseen = []
-    for event in schedule:
-        key = str(event["kind"]), _target(event)
-        if seen.get(key, 0) > 0:
-            seen[key] -= 1
-        else:
-            unseen.append(f"{key[0]} of {key[1]} at {event['at_s']:g} s")
-    return unseen
-
-
-def _target(event: Mapping[str, Any]) -> str:
-    return str(event.get("agent") or event.get("arm") or event.get("point") or "load")
 
 
 def _arms(record: Record) -> list[str]:

@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from deploy.chaos.catalogue import DIGITS, Event
+from deploy.chaos.catalogue import DIGITS, WEAK_ENDS, Event
 
 Fails = Callable[[Sequence[Event]], bool]
 
 NOT_STRENGTHS = ("at_s", "joint", "strut")
 """Keys whose numbers are moments and names."""
 HALVINGS = 4
-"""Of a strength or duration: what is left is at most a sixteenth of it above the smallest that fails, if what is
+"""Of a strength or duration: what is left is at most a sixteenth of it above the weakest that fails, if all that is
 stronger fails as well."""
 
 
@@ -102,7 +102,8 @@ def _without_a_part(events: list[Event], parts: int) -> Iterator[list[Event]]:
 
 
 def weakest(events: Sequence[Event], fails: Fails) -> list[Event]:
-    """The same events with durations and strengths halved as often as they still fail, one after the other."""
+    """The same events, their durations and strengths brought half the way to where they do nothing as often as that
+    still fails, one after the other."""
     left = list(events)
     for place, event in enumerate(events):
         for key, value in event.items():
@@ -111,7 +112,11 @@ def weakest(events: Sequence[Event], fails: Fails) -> list[Event]:
             low, high = 0.0, 1.0
             for _ in range(HALVINGS):
                 middle = 0.5 * (low + high)
-                tried = [*left[:place], left[place] | {key: _scaled(value, middle)}, *left[place + 1 :]]
+                tried = [
+                    *left[:place],
+                    left[place] | {key: _scaled(value, middle, WEAK_ENDS.get(key, 0.0))},
+                    *left[place + 1 :],
+                ]
                 if tried == left or not fails(tried):
                     low = middle
                 else:
@@ -126,10 +131,10 @@ def _is_strength(value: object) -> bool:
     return isinstance(value, float | int) and not isinstance(value, bool) and value != 0
 
 
-def _scaled(value: object, factor: float) -> object:
-    """A count stays whole, and at least one."""
+def _scaled(value: object, factor: float, weak: float) -> object:
+    """So much of the way from the weak end to the value. A count stays whole, and at least one."""
     if isinstance(value, list | tuple):
-        return [_scaled(each, factor) for each in value]
+        return [_scaled(each, factor, weak) for each in value]
     if isinstance(value, int) and not isinstance(value, bool):
         return max(1, round(value * factor))
-    return round(value * factor, DIGITS) if isinstance(value, float) else value
+    return round(weak + factor * (value - weak), DIGITS) if isinstance(value, float) else value

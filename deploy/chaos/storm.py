@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -78,6 +79,23 @@ def carry_of(scenario: str | None, arms: int | None, preset: str | None) -> Carr
         changes["load"] = {"struts": max(arms, load_scenario(scenario).scenario.load.struts)}
     duration_s = load_scenario(scenario, changes).scenario.duration_s
     return Carry(scenario, changes, Span(round(0.1 * duration_s, 3), round(0.4 * duration_s, 3)))
+
+
+def carry_in(scenario: str) -> Carry:
+    """What a scenario file carries, as a change of what it extends: a file made of it then needs that file no more.
+
+    Raises:
+        ScenarioError: there is no such scenario.
+    """
+    load_scenario(scenario)
+    file = Path(scenario)
+    tables = tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    if "extends" not in tables:
+        return carry_of(scenario, None, None)
+    parent = str(tables["extends"])
+    beside = (file.parent / f"{parent}.toml").absolute()
+    changes = {key: value for key, value in tables.items() if key not in ("extends", "description", "seed", "events")}
+    return Carry(str(beside) if beside.is_file() else parent, changes, SHORT_WINDOW_S)
 
 
 def draw_storm(carry: Carry, seed: int, count: int, rows: Sequence[Fault] | None = None) -> list[Event]:

@@ -23,6 +23,12 @@ def try_one(run: Run, folder: Path) -> Judgement:
     return _unknown(problem) if problem else judge_folder(folder)
 
 
+def tried(run: Run, root: Path) -> Judgement:
+    """The same with its place under this root; what is there is not run again."""
+    folder = root / run.place
+    return judge_folder(folder) if is_there(run, root) else try_one(run, folder)
+
+
 def try_all(
     runs: Sequence[Run], root: Path, engine: Engine, told: Callable[[int, int], None]
 ) -> Mapping[str, Judgement]:
@@ -56,9 +62,7 @@ def failing_as(first: Judgement, carry: Carry, seed: int, root: Path, told: Told
     def fails(events: Sequence[Event]) -> bool:
         if not is_valid(carry, events):
             return False
-        run = carry.run("shrink", invariant, "", events, seed)
-        folder = root / run.place
-        judgement = judge_folder(folder) if is_there(run, root) else try_one(run, folder)
+        judgement = tried(carry.run("shrink", invariant, "", events, seed), root)
         found = next((each for each in judgement.violated if each.invariant == invariant), None)
         told(f"{len(events)} events: {invariant} " + (f"violated, {found.text}" if found else "not violated"))
         return found is not None
