@@ -140,6 +140,14 @@ def test_a_fault_that_was_not_seen_to_take_effect_makes_the_run_unknown_never_ho
     assert judge(record(events=(ORDERED, SEEN), schedule=(KILL,))).verdict == "holds"
 
 
+def test_what_the_simulator_calls_unproven_is_unknown_though_it_was_seen_to_end() -> None:
+    idle = "event 'loss' of a1 at 1 s was not seen to take effect"
+    judgement = judge(record(events=(ORDERED, SEEN), schedule=(KILL,), unproven=[idle]))
+    assert judgement.verdict == judgement.outcome == "unknown"
+    assert idle in judgement.of("events_complete").why
+    assert judge(record(events=(ORDERED, SEEN), schedule=(KILL,), unproven=[])).verdict == "holds"
+
+
 def test_two_faults_of_one_kind_and_target_need_two_sights() -> None:
     again = KILL | {"at_s": 2.0}
     twice = (ORDERED, SEEN, ORDERED | {"tick": 2000})
