@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_made_runs import good_trace, left_in, put, quat, record, told
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.batch import COST
@@ -87,7 +87,6 @@ def test_each_is_violated_at_its_tick_and_by_how_much(
     assert judge(spoiled).verdict == "violated"
 
 
-@settings(deadline=None)  # of wall time, which tells nothing on a busy machine
 @given(st.floats(-0.5, 0.5))
 def test_a_load_violates_its_height_by_what_it_sinks_too_far_and_never_by_rising(sunk: float) -> None:
     found = says("height", record(put("load.position", 50, [0.2, 0.0, 0.1 - sunk])))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.chaos.shrink import HALVINGS, fewest, shrink
@@ -31,7 +31,6 @@ class Runner:
         return self._culprits <= strong
 
 
-@settings(deadline=None)  # of wall time, which tells nothing on a busy machine
 @given(st.integers(1, 12).flatmap(lambda n: st.tuples(st.just(n), st.sets(st.integers(0, n - 1), min_size=1))))
 def test_exactly_the_culprits_are_left_in_order(drawn: tuple[int, set[int]]) -> None:
     count, culprits = drawn
@@ -39,7 +38,6 @@ def test_exactly_the_culprits_are_left_in_order(drawn: tuple[int, set[int]]) -> 
     assert [event["arm"] for event in left] == [f"a{k}" for k in sorted(culprits)]
 
 
-@settings(deadline=None)  # of wall time, which tells nothing on a busy machine
 @given(st.floats(0.1, 80.0))
 def test_the_strength_that_is_left_still_fails_and_is_near_the_least(least_N: float) -> None:
     shrunk = shrink(events(5), Runner({"a3"}, least_N))

@@ -20,7 +20,7 @@ from sim_server.scenario_files import EVENT_KINDS, load_scenario
 seeds = st.integers(0, 2**32)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seeds, st.integers(0, 6), st.sampled_from([4, 6]), st.sampled_from(["paper", "palanquin"]))
 def test_every_storm_is_a_scenario_whose_file_says_what_was_drawn(seed: int, count: int, arms: int, law: str) -> None:
     carry = short_carry(arms, law)
@@ -36,7 +36,7 @@ def test_every_storm_is_a_scenario_whose_file_says_what_was_drawn(seed: int, cou
     assert len(extends.events) == len(events)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds)
 def test_what_ends_an_agents_part_strikes_it_alone_but_for_pushes(seed: int) -> None:
     ending = {row.kind for row in faults() if row.ends}
@@ -105,7 +105,6 @@ def test_an_unknown_fault_is_refused_with_what_there_is() -> None:
         named(["kil"])
 
 
-@settings(deadline=None)  # of wall time, which tells nothing on a busy machine
 @given(st.floats(-100, 100), st.floats(0, 50), seeds)
 def test_a_span_draws_within_itself(low: float, length: float, seed: int) -> None:
     import numpy as np

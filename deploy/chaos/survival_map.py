@@ -43,7 +43,9 @@ def draw_map(cells: Sequence[Judged], file: Path) -> None:
     axes.xaxis.tick_top()
     for spine in axes.spines.values():
         spine.set_visible(False)
-    legend = [Patch(facecolor=colour, hatch=hatch, edgecolor="white", label=name) for name, (colour, hatch) in PAINT.items()]
+    legend = [
+        Patch(facecolor=colour, hatch=hatch, edgecolor="white", label=name) for name, (colour, hatch) in PAINT.items()
+    ]
     figure.legend(handles=legend, loc="outside lower center", ncols=len(legend), fontsize=8, frameon=False)
     figure.savefig(file, dpi=130, metadata={"Software": None})
     plt.close(figure)
