@@ -1,4 +1,4 @@
-"""docs/chaos.md: the very text of its test, run by the plugin with real processes; and its tables, against the code."""
+"""docs/chaos-bench.md: the very text of its test, run by the plugin with real processes; and its tables, against the code."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deploy.chaos.invariants import INVARIANTS, Bounds
 from deploy.chaos.outcome import OUTCOMES
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-PAGE = (DOCS / "chaos.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "chaos-bench.md").read_text(encoding="utf-8")
 
 
 def block(page: str) -> str:
@@ -45,8 +45,9 @@ def test_the_test_of_the_page_passes_and_fails_for_a_law_that_lets_the_load_sag(
     passed = run_pytest(folder)
     assert passed.returncode == 0, passed.stdout
     assert "1 passed" in passed.stdout
-    law = folder / "spring_hand.py"
+    law, test = folder / "spring_hand.py", folder / "test_my_law.py"
     law.write_text(law.read_text().replace("lift_N_m: float = 6000.0", "lift_N_m: float = 200.0"))
+    test.write_text(test.read_text().replace("duration_s=3.0", "duration_s=2.0"))
     failed = run_pytest(folder)
     # 24.5 N of each hand's share over 200 N/m are 0.12 m: more than the load is above the floor
     assert failed.returncode == 1, failed.stdout
