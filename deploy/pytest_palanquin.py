@@ -122,7 +122,7 @@ def _run(defaults: Mapping[str, Any], given: Mapping[str, Any], beside: Path, fo
     controller = changes.pop("controller", None)
     if controller is not None:
         changes = merged(changes, {"team": {"controller": controller}})
-    problem = run_one(Run("pytest", "", "", scenario, changes, seed), str(folder), cwd=str(beside))
+    problem = run_one(Run("pytest", "", "", scenario, changes, seed, may_lose=True), str(folder), cwd=str(beside))
     if problem:
         pytest.fail(f"{shlex.quote(scenario)} could not be run: {problem}", pytrace=False)
     metrics = json.loads((folder / METRICS).read_text(encoding="utf-8"))

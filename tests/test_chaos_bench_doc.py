@@ -1,4 +1,4 @@
-"""docs/chaos-bench.md: the very text of its test, run by the plugin with real processes; and its tables, against the code."""
+"""docs/chaos-bench.md: the very text of its test, run by the plugin with real processes, and its tables."""
 
 from __future__ import annotations
 

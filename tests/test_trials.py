@@ -35,6 +35,7 @@ def leave(run: Run, root: Path, tilt_deg: float) -> None:
         for event in schedule
         for kind in ("ordered", "seen")
     ]
+    tellings += [told("lost", 2000, agent=event["agent"], why="it was killed") for event in schedule[:1]]
     folder = root / run.place
     folder.mkdir(parents=True)
     left_in(folder, record(put("load.quat_wxyz", 40, quat(tilt_deg)), tuple(tellings), scenario=run.resolved()))

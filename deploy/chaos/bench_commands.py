@@ -239,7 +239,7 @@ def _run_and_print(console: Console, scenario: str, folder: Path) -> Judgement:
 
     seed = load_scenario(scenario).scenario.seed
     with console.status("carrying"):
-        judgement = try_one(Run("chaos", Path(scenario).stem, "", scenario, {}, seed), folder)
+        judgement = try_one(Run("chaos", Path(scenario).stem, "", scenario, {}, seed, may_lose=True), folder)
     print_judgement(console, judgement)
     console.print(f"run folder: {folder}", soft_wrap=True, markup=False)
     return judgement
