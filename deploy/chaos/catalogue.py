@@ -111,6 +111,17 @@ ROWS: tuple[Fault, ...] = (
     # Shorter than the 20 missed ticks at which an arm is lost.
     Fault("stop-continue", "stop", "agent", then=("continue", Span(0.002, 0.018))),
     Fault("leave", "leave", "agent", ends=True),
+    Fault("hang", "hang", "agent", ends=True),
+    Fault(
+        "restart_storm",
+        "restart_storm",
+        "agent",
+        strengths={"every_s": Span(0.3, 0.8)},
+        counts={"times": (2, 4)},
+        ends=True,
+    ),
+    # In lock-step it costs wall time alone.
+    Fault("slow", "slow", "agent", strengths={"share_percent": Span(40, 80)}, then=("continue", Span(0.2, 1.0))),
     Fault("leader-kill", "kill", "leader", ends=True),
     Fault("leader-kill-start", "kill", "leader", then=("start", Span(0.3, 2.0)), ends=True),
     Fault("leader-stop", "stop", "leader", ends=True),
