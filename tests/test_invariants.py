@@ -144,7 +144,8 @@ def test_what_the_simulator_calls_unproven_is_unknown_though_it_was_seen_to_end(
     judgement = judge(record(events=(ORDERED, SEEN), schedule=(KILL,), unproven=[idle]))
     assert judgement.verdict == judgement.outcome == "unknown"
     assert idle in judgement.of("events_complete").why
-    assert judge(record(events=(ORDERED, SEEN), schedule=(KILL,), unproven=[])).verdict == "holds"
+    several = {"at_s": 1.0, "kind": "restart_storm", "agent": "a1", "times": 1}  # told as a kill and a start
+    assert judge(record(events=(ORDERED, SEEN), schedule=(several,), unproven=[])).verdict == "holds"
 
 
 def test_two_faults_of_one_kind_and_target_need_two_sights() -> None:

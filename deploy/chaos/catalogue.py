@@ -160,8 +160,9 @@ ROWS: tuple[Fault, ...] = (
 )
 """The rows with stated ranges; those whose kind there is not are left out."""
 
-WEAK_ENDS: Mapping[str, float] = {"factor": 1.0, "limit_Nm": 87.0}
-"""Where a strength does nothing any more, if that is not at zero: all of a torque; the largest of an arm's limits."""
+WEAK_ENDS: Mapping[str, float] = {"factor": 1.0, "limit_Nm": 87.0, "share_percent": 100.0}
+"""Where a strength does nothing any more, if that is not at zero: all of a torque or of the time, the largest of
+an arm's limits."""
 
 NOT_DRAWN = ("start", "continue", "join", "bump")
 """Kinds that undo a fault, that need a world of their own, or that are another word for a kind above."""

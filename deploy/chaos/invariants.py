@@ -143,8 +143,9 @@ def silence(record: Record, bounds: Bounds) -> Finding:
 def events_complete(record: Record, bounds: Bounds) -> Finding:
     """Every fault was ordered and seen to take effect, and the events tell the run from its start to its end, in order.
 
-    A fault that was not seen makes it unknown: what the run would have done under it is not known. The simulator knows
-    of some that what was seen does not prove it (no message was hit); what it says counts before what its events tell.
+    A fault that was not seen makes it unknown: what the run would have done under it is not known. What the
+    simulator itself calls unproven counts, since not all that is seen proves something (a loss that hit no message);
+    only where it says nothing of that, what its events tell.
     """
     name = "events_complete"
     ticks = [int(event["tick"]) for event in record.events]
@@ -156,8 +157,8 @@ def events_complete(record: Record, bounds: Bounds) -> Finding:
     missing = [kind for kind in ("started", "ended") if kind not in kinds]
     if missing:
         return Finding(name, "unknown", f"no event {' or '.join(map(repr, missing))}: the events are cut off")
-    unproven = record.run.get("unproven") or unseen_faults(record.schedule, record.events)
-    if unproven:
+    told = record.run.get("unproven")
+    if unproven := unseen_faults(record.schedule, record.events) if told is None else told:
         return Finding(name, "unknown", f"not seen to take effect: {'; '.join(unproven)}")
     if not record.completed:
         return Finding(name, "unknown", f"the run did not reach its end: {record.run['ended']['why']}")
