@@ -50,7 +50,7 @@ def record(
     trace = good_trace()
     spoil(trace)
     run = {
-        "scenario": {"events": list(schedule), "expect": {}},
+        "scenario": {"events": list(schedule), "expect": {}, "load": {"size_m": [1.6, 0.9, 0.75]}},
         "facts": {"arms": list(ARMS), "goal_m": [1.0, 0.0], "torque_max_Nm": [10.0, 8.0]},
         "ended": {"completed": True, "why": "reached its duration"},
     } | changed

@@ -40,8 +40,14 @@ def test_a_good_run_carries_and_holds_in_everything() -> None:
 
 SPOILED: Mapping[str, tuple[str, Record, int | None, float, str]] = {
     # by hand: what is violated, the first tick, by how much
-    "sinks 80 mm, 50 allowed": (
-        "height", record(put("load.position", slice(100, 120), [0.5, 0.0, 0.02])), 500, 0.03, "m"),
+    "sinks 95 mm, 80 allowed": (
+        "height", record(put("load.position", slice(100, 120), [0.5, 0.0, 0.005])), 500, 0.015, "m"),
+    "leans by 4 deg along its length of 1.6 m, with 40 mm to go": (
+        "height",
+        record(lambda trace: (
+            put("load.position", 100, [0.5, 0.0, 0.06])(trace),
+            put("load.quat_wxyz", 100, [np.cos(np.radians(2.0)), 0.0, np.sin(np.radians(2.0)), 0.0])(trace))),
+        500, 0.8 * np.sin(np.radians(4.0)) - 0.04, "m"),
     "tilts 7.5 deg, 5 allowed": ("tilt", record(put("load.quat_wxyz", 40, quat(-7.5))), 200, 2.5, "deg"),
     "a hand pulls down with 500 N, 300 allowed": (
         "grip_force", record(put("a2.grip", 7, [300.0, 0.0, -400.0, 0, 0, 0])), 35, 200.0, "N"),
@@ -90,9 +96,9 @@ def test_each_is_violated_at_its_tick_and_by_how_much(
 @given(st.floats(-0.5, 0.5))
 def test_a_load_violates_its_height_by_what_it_sinks_too_far_and_never_by_rising(sunk: float) -> None:
     found = says("height", record(put("load.position", 50, [0.2, 0.0, 0.1 - sunk])))
-    assert (found.verdict == "violated") == (0.1 - (0.1 - sunk) > 0.05)
+    assert (found.verdict == "violated") == (0.1 - (0.1 - sunk) > 0.08)
     if found.verdict == "violated":
-        assert found.by == pytest.approx(sunk - 0.05, abs=1e-12)  # three roundings of numbers below 1
+        assert found.by == pytest.approx(sunk - 0.08, abs=1e-12)  # three roundings of numbers below 1
 
 
 def test_a_turn_about_the_vertical_is_no_tilt() -> None:
@@ -122,7 +128,7 @@ def test_a_load_may_move_at_its_goal_and_may_stand_short_of_it() -> None:
 
 def test_the_scenarios_own_bound_of_the_goal_counts() -> None:
     off = put("load.position", slice(400, None), [0.8, 0.0, 0.1])
-    wide = {"events": [], "expect": {"goal_error_m": {"max": 0.3, "min": None}}}
+    wide = {"events": [], "load": {"size_m": [1.6, 0.9, 0.75]}, "expect": {"goal_error_m": {"max": 0.3, "min": None}}}
     assert judge(record(off)).outcome == "stops"
     assert judge(record(off, scenario=wide)).outcome == "carries"
 

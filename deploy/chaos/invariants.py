@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deploy.chaos.record import Array, Record
 from deploy.chaos.sights import unseen_faults
-from sim_server.metrics import goal_distance_m, tilt_deg
+from sim_server.metrics import goal_distance_m, lowest_corner_m, tilt_deg
 from sim_server.verdict import Verdict
 
 LAST_S = 1.0
@@ -26,8 +26,9 @@ LAST_S = 1.0
 class Bounds:
     """How far a load may go."""
 
-    sink_max_m: float = 0.05
-    """Below its height at the start. The shipped loads start 0.10 m above the floor: half of that."""
+    sink_max_m: float = 0.08
+    """Of its lowest corner, below its height at the start. The shipped loads start 0.10 m above the floor: one that
+    holds this has never been nearer to it than 2 cm."""
     tilt_max_deg: float = 5.0
     """Ten times what an undisturbed carry may tilt (0.5 deg in `transport`); a full glass stays full."""
     grip_max_N: float = 300.0
@@ -66,9 +67,9 @@ class Finding:
 
 
 def height(record: Record, bounds: Bounds) -> Finding:
-    """The load never sinks further than it may."""
-    sunk = record.trace["load.position"][0, 2] - record.trace["load.position"][:, 2]
-    return _bounded("height", record, sunk, bounds.sink_max_m, "m", "below its start")
+    """The load's lowest corner never sinks further than it may."""
+    corner = lowest_corner(record)
+    return _bounded("height", record, corner[0] - corner, bounds.sink_max_m, "m", "below its start")
 
 
 def tilt(record: Record, bounds: Bounds) -> Finding:
@@ -193,6 +194,12 @@ def check_all(record: Record, bounds: Bounds | None = None) -> tuple[Finding, ..
     """What every invariant says, with the scenario's own bound of the goal."""
     own = (bounds or Bounds()).of(record.run["scenario"])
     return tuple(invariant(record, own) for invariant in INVARIANTS)
+
+
+def lowest_corner(record: Record) -> Array:
+    """Height of the load's lowest corner above the floor, (rows,) m."""
+    footprint_m = record.run["scenario"]["load"]["size_m"][:2]
+    return lowest_corner_m(record.trace["load.position"], record.trace["load.quat_wxyz"], footprint_m)
 
 
 def goal_error(record: Record) -> float | None:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from deploy.chaos.invariants import Bounds, Finding, check_all, end_speed_mm_s, goal_error
+from deploy.chaos.invariants import Bounds, Finding, check_all, end_speed_mm_s, goal_error, lowest_corner
 from deploy.chaos.record import Record, read_record
 from sim_server.metrics import tilt_deg
 from sim_server.run_folder import RunFolderError, write_json
@@ -40,6 +40,7 @@ class Judgement:
     findings: tuple[Finding, ...]
     tilt_max_deg: float | None = None
     height_min_m: float | None = None
+    """Of its lowest corner above the floor."""
     goal_error_m: float | None = None
     """Largest in the last second."""
 
@@ -61,7 +62,7 @@ def judge(record: Record, bounds: Bounds | None = None) -> Judgement:
         verdict_of(findings),
         findings,
         float(tilt_deg(record.trace["load.quat_wxyz"]).max()),
-        float(record.trace["load.position"][:, 2].min()),
+        float(lowest_corner(record).min()),
         goal_error(record),
     )
 
