@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,14 @@ def test_a_leaderless_scenario_gets_no_fault_of_the_leader() -> None:
     carry = carry_of("hold", None, None)
     with pytest.raises(StormError, match="room for 0"):
         draw_storm(carry, 1, 1, named(["leader-kill"]))
+
+
+def test_what_goes_with_nothing_else_is_in_no_storm_unless_it_is_asked_for() -> None:
+    alone = replace(named(["push-load"])[0], alone=True)
+    carry = short_carry(4, "paper")
+    assert draw_storm(carry, 1, 1, [alone])[0]["kind"] == "push"
+    kinds = {event["kind"] for seed in range(40) for event in draw_storm(carry, seed, 3)}
+    assert not kinds & {row.kind for row in faults() if row.alone}
 
 
 def test_every_kind_of_event_is_drawn_or_undoes_one() -> None:

@@ -50,7 +50,7 @@ def storm(
     from deploy.chaos.storm import carry_of, draw_storm, scenario_text
 
     carry = carry_of(scenario, arms, preset)
-    events = draw_storm(carry, seed, faults, _rows(only))
+    events = draw_storm(carry, seed, faults, _rows(only) if only else None)
     folder = _new_folder(out, f"storm-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / STORM

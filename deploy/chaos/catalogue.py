@@ -56,6 +56,9 @@ class Fault:
     ends: bool = False
     """What it strikes does not carry on as before: no other fault that needs it can be relied on to take effect."""
 
+    alone: bool = False
+    """Not for storms, unless it is asked for by its name."""
+
     def draw(self, draws: Draws, arms: Sequence[str], window_s: Span) -> list[Event]:
         """Its events, in order of time."""
         event: Event = {"at_s": window_s.draw(draws), "kind": self.kind}
@@ -122,6 +125,9 @@ ROWS: tuple[Fault, ...] = (
     ),
     # In lock-step it costs wall time alone.
     Fault("slow", "slow", "agent", strengths={"share_percent": Span(40, 80)}, then=("continue", Span(0.2, 1.0))),
+    # Nobody may be stopped or leaving then, and what the dead simulator's connections carried is not known: the audit
+    # of such a run is unknown.
+    Fault("sim_kill", "sim_kill", "load", alone=True),
     Fault("leader-kill", "kill", "leader", ends=True),
     Fault("leader-kill-start", "kill", "leader", then=("start", Span(0.3, 2.0)), ends=True),
     Fault("leader-stop", "stop", "leader", ends=True),

@@ -108,7 +108,7 @@ def draw_storm(carry: Carry, seed: int, count: int, rows: Sequence[Fault] | None
         StormError: there is no room for so many.
     """
     draws = np.random.default_rng([seed, STREAM])
-    rows = faults() if rows is None else tuple(rows)
+    rows = [row for row in faults() if not row.alone] if rows is None else rows
     scenario = carry.resolved
     events: list[Event] = [event.model_dump(mode="json", exclude_none=True) for event in scenario.events]
     struck: dict[str, list[Fault]] = {}
