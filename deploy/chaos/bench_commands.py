@@ -179,7 +179,7 @@ def lost(
     ),
     at_once: AtOnce = None,
 ) -> None:
-    """Lose any one follower of `transport` in any way, at a drawn tick: the worst tilt, lowest height, and arrivals."""
+    """Lose any one follower of `transport` in any way, at drawn ticks: the worst tilt, height and goal error."""
     from deploy.batch import LocalEngine
     from deploy.chaos.lost import draw_losses, rows_of, run_of
     from deploy.chaos.outcome import OUTCOMES, verdict_of
@@ -193,7 +193,7 @@ def lost(
     with runs_bar(console) as told:
         by_place = try_all(runs, out, LocalEngine(at_once), told)
     judgements = [by_place[run.place] for run in runs]
-    numbers = ("worst tilt, deg", "lowest height, m", "worst goal error, m")
+    numbers = ("tilt deg", "low m", "goal m")
     table = plain_table("loss, arm", *OUTCOMES, *numbers, right=(*OUTCOMES, *numbers))
     for row in rows_of(losses, judgements):
         worst = (row.tilt_max_deg, row.height_min_m, row.goal_error_m)
