@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 from deploy.chaos.catalogue import DIGITS, WEAK_ENDS, Event
@@ -20,6 +21,8 @@ NOT_STRENGTHS = ("at_s", "joint", "strut")
 HALVINGS = 4
 """Of a strength or duration: what is left is at most a sixteenth of it above the weakest that fails, if all that is
 stronger fails as well."""
+ALMOST_NOTHING = 1 / 64
+"""Of a strength or duration, tried first: many are not what a failure needs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +73,12 @@ def shrink(events: Sequence[Event], fails: Fails, most: int = 100) -> Shrunk:
     asked, left = _Asked(fails, most), list(events)
     if not asked(left):
         raise ValueError("the whole schedule does not fail: there is nothing to shrink")
+    left = fewest(left, asked)
     while True:
-        smaller = weakest(fewest(left, asked), asked)
-        if smaller == left:
+        weak = weakest(left, asked)
+        left = fewest(weak, asked)  # what is weaker may need fewer
+        if left == weak:
             return Shrunk(left, asked.tries, not asked.is_exhausted)
-        left = smaller
 
 
 def fewest(events: Sequence[Event], fails: Fails) -> list[Event]:
@@ -102,26 +106,37 @@ def _without_a_part(events: list[Event], parts: int) -> Iterator[list[Event]]:
 
 
 def weakest(events: Sequence[Event], fails: Fails) -> list[Event]:
-    """The same events, their durations and strengths brought half the way to where they do nothing as often as that
-    still fails, one after the other."""
+    """The same events, their durations and strengths brought towards where they do nothing as far as that still fails,
+    one after the other."""
     left = list(events)
     for place, event in enumerate(events):
         for key, value in event.items():
-            if key in NOT_STRENGTHS or not _is_strength(value):
-                continue
-            low, high = 0.0, 1.0
-            for _ in range(HALVINGS):
-                middle = 0.5 * (low + high)
-                tried = [
-                    *left[:place],
-                    left[place] | {key: _scaled(value, middle, WEAK_ENDS.get(key, 0.0))},
-                    *left[place + 1 :],
-                ]
-                if tried == left or not fails(tried):
-                    low = middle
-                else:
-                    left, high = tried, middle
+            if key not in NOT_STRENGTHS and _is_strength(value):
+                weaker = partial(_with_a_part, left, place, key)
+                part = _least_part(partial(_fails_with, fails, weaker))
+                left = weaker(part) if part < 1.0 else left  # untouched, not even rounded
     return left
+
+
+def _with_a_part(events: list[Event], place: int, key: str, part: float) -> list[Event]:
+    """The events, one of them with so much of a strength."""
+    weaker = events[place] | {key: _scaled(events[place][key], part, WEAK_ENDS.get(key, 0.0))}
+    return [*events[:place], weaker, *events[place + 1 :]]
+
+
+def _fails_with(fails: Fails, weaker: Callable[[float], list[Event]], part: float) -> bool:
+    return fails(weaker(part))
+
+
+def _least_part(fails: Callable[[float], bool]) -> float:
+    """A small part of a strength with which it still fails."""
+    if fails(ALMOST_NOTHING):
+        return ALMOST_NOTHING
+    low, high = ALMOST_NOTHING, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if fails(middle) else (middle, high)
+    return high
 
 
 def _is_strength(value: object) -> bool:
