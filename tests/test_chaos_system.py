@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -54,10 +55,10 @@ def a_run(folder: Path, pid: int) -> None:
     (folder / RUN).write_text(json.dumps({"agents": {"a1": {"pid": pid}, "leader": {"pid": None}}}))
 
 
-def a_process(proc: Path, pid: int, command: str, session: int) -> None:
+def a_process(proc: Path, pid: int, command: str, session: int, parent: int = 1) -> None:
     (proc / str(pid)).mkdir(parents=True)
     (proc / str(pid) / "cmdline").write_text(command.replace(" ", "\0") + "\0" if command else "")
-    (proc / str(pid) / "stat").write_text(f"{pid} (a name) of mine) S 1 {session} {session} 0 -1\n")
+    (proc / str(pid) / "stat").write_text(f"{pid} (a name) of mine) S {parent} {session} {session} 0 -1\n")
 
 
 def test_who_names_the_folder_or_the_address_or_is_in_an_agents_session_is_left_over(tmp_path: Path) -> None:
@@ -71,6 +72,9 @@ def test_who_names_the_folder_or_the_address_or_is_in_an_agents_session_is_left_
     a_process(proc, 13, "python -m deploy.cli follower --connect tcp/127.0.0.1:4122", 13)
     a_process(proc, 14, f"python -m deploy.cli sim --out {folder}-2", 14)
     a_process(proc, 15, "", 77)  # it has ended, and nobody has asked how
+    a_process(proc, 16, f"timeout 100 palanquin chaos run x.toml --out {folder}", 16)
+    a_process(proc, 17, f"python -m deploy.cli chaos run x.toml --out {folder}", 16, parent=16)
+    a_process(proc, os.getpid(), f"python -m deploy.cli chaos run x.toml --out {folder}", 16, parent=17)
     assert left_over(folder, proc) == [
         "python -m deploy.cli follower --connect tcp/127.0.0.1:41229",
         f"python -m deploy.cli sim --out {folder}",
@@ -80,7 +84,7 @@ def test_who_names_the_folder_or_the_address_or_is_in_an_agents_session_is_left_
 
 def test_a_process_that_is_there_is_found_and_one_that_has_ended_is_not(tmp_path: Path) -> None:
     a_run(tmp_path, 0)
-    command = [sys.executable, "-c", "import sys; sys.stdin.read()", str(tmp_path)]
+    command = [sys.executable, "-c", "import sys; sys.stdin.read()", "deploy.cli", str(tmp_path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         assert left_over(tmp_path) == [" ".join(command)]
         process.communicate()
