@@ -20,6 +20,7 @@ from pathlib import Path
 from deploy.deeds import Doer, Processes
 from deploy.mailbox import Mailbox
 from deploy.room import Rooms, room_environment
+from deploy.settings import toml_value
 from sim_server.faults.processes import SimKill, Slow
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario, arm_number
@@ -335,19 +336,6 @@ def leader_arguments(scenario: Scenario) -> list[str]:
         "--point",
         leader.point,
     ]
-
-
-def toml_value(value: object) -> str:
-    """A scenario's value as TOML text: true, 3.5, "text", [1, 2]."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(toml_value(element) for element in value) + "]"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {toml_value(element)}" for key, element in value.items()) + "}"
-    return repr(value)
 
 
 def child_environment(environment: Mapping[str, str]) -> dict[str, str]:

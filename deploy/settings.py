@@ -1,9 +1,10 @@
-"""``--set KEY=VALUE`` options: dotted keys and TOML values, as nested tables."""
+"""``--set KEY=VALUE`` options: dotted keys and TOML values, as nested tables, and values written as TOML."""
 
 from __future__ import annotations
 
+import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import typer
@@ -35,3 +36,16 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> None:
             _merge(below[key], value)
         else:
             below[key] = value
+
+
+def toml_value(value: object) -> str:
+    """A scenario's value as TOML text: true, 3.5, "text", [1, 2]."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(toml_value(element) for element in value) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {toml_value(element)}" for key, element in value.items()) + "}"
+    return repr(value)

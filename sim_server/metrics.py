@@ -128,6 +128,20 @@ def rotation_matrices(quat_wxyz: Array) -> Array:
     )
 
 
+def lowest_corner_m(position: Array, quat_wxyz: Array, footprint_m: Sequence[float]) -> Array:
+    """Height of the lowest corner of a load's footprint, (rows,) m.
+
+    Args:
+        position: of the frame O, in the middle of the footprint and on its level, (rows, 3).
+        quat_wxyz: of O, unit quaternions (rows, 4).
+        footprint_m: length along x and width along y of O.
+    """
+    R_WO = rotation_matrices(quat_wxyz)
+    lean = 0.5 * (np.abs(R_WO[:, 2, 0]) * footprint_m[0] + np.abs(R_WO[:, 2, 1]) * footprint_m[1])
+    height: Array = position[:, 2] - lean
+    return height
+
+
 def goal_distance_m(position: Array, goal_m: Sequence[float]) -> Array:
     """Planar distance of the load's frame O from the goal, (rows,) m."""
     return np.hypot(position[:, 0] - goal_m[0], position[:, 1] - goal_m[1])

@@ -11,10 +11,11 @@ import pytest
 
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
+from deploy.batch import Done, is_there, run_missing
 from deploy.paper.ablations import ABLATIONS, ablation_runs, times_three_runs
-from deploy.paper.batch import Done, is_there, run_missing
-from deploy.paper.plan import Run, merged, section_vi_runs
+from deploy.paper.plan import section_vi_runs
 from deploy.paper.verifying import REPORT, ReportError, differences, read_report, run_of, sample
+from deploy.planned_run import Run, merged
 from deploy.settings import scenario_changes
 from sim_server.run_folder import EVENTS, METRICS, RUN, TRACE
 from sim_server.scenario_files import load_scenario

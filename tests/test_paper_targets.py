@@ -9,10 +9,11 @@ import pytest
 
 from deploy.paper.ablations import ablation_runs, times_three_runs
 from deploy.paper.judging import judge
-from deploy.paper.plan import Run, section_vi_runs
+from deploy.paper.plan import section_vi_runs
 from deploy.paper.report import comparison_table
 from deploy.paper.results import Results
 from deploy.paper.targets import TARGETS
+from deploy.planned_run import Run
 from sim_server.run_folder import METRICS
 
 GOOD = {"tilt_max_deg": 0.2, "sag_max_mm": 2.0, "yaw_max_deg": 1.0, "overshoot_m": 0.01, "goal_error_m": 0.05}

@@ -10,12 +10,14 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from deploy.chaos.bench_commands import app as bench_app
 from deploy.exit_status import COULD_NOT_RUN
 from wire.errors import CredentialError
 
 Engine = Literal["docker"]
 
 app = typer.Typer(help="Attack a run on purpose, and see what holds.", no_args_is_help=True)
+app.add_typer(bench_app)
 
 
 @app.command()

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
 
-from deploy.paper.plan import PRESETS, SECTION_VI, Changes, Condition, Preset, Run, condition_changes, merged
+from deploy.paper.plan import PRESETS, SECTION_VI, Condition, Preset, condition_changes
+from deploy.planned_run import Changes, Run, merged
 
 DEG = 180 / pi
 ALONE = "alone"

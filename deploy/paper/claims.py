@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_server.metrics import goal_distance_m, roll_pitch_yaw_deg, tilt_deg
+from sim_server.metrics import goal_distance_m, lowest_corner_m, roll_pitch_yaw_deg, tilt_deg
 
 Array = NDArray[np.float64]
 Trace = Mapping[str, Array]
@@ -162,10 +162,8 @@ def needs_a_team(alone: Trace, footprint_m: tuple[float, float]) -> Found:
     Args:
         footprint_m: length along x and width along y of the load; its frame O is in the middle, on the lowest level.
     """
-    w, x, y, z = alone["load.quat_wxyz"].T
-    up_x, up_y = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x)  # what x and y of O rise by in the world
-    lean = np.abs(up_x) * footprint_m[0] / 2 + np.abs(up_y) * footprint_m[1] / 2
-    return at_most(float((alone["load.position"][:, 2] - lean).min()), "m", 0.0)
+    lowest = lowest_corner_m(alone["load.position"], alone["load.quat_wxyz"], footprint_m)
+    return at_most(float(lowest.min()), "m", 0.0)
 
 
 def rms(values: Array) -> float:

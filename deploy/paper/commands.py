@@ -17,7 +17,7 @@ from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT
 
 if TYPE_CHECKING:
     from deploy.paper.judging import Judged
-    from deploy.paper.plan import Run
+    from deploy.planned_run import Run
 
 TIMES_THREE_SEEDS, ABLATION_SEEDS = 3, 1
 """Most seeds of what stands beside the experiments."""
@@ -41,7 +41,7 @@ def paper(
     ray_address: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster.")] = None,
 ) -> None:
     """Run every experiment of the paper's section VI, and set its claims beside what was measured."""
-    from deploy.paper.batch import LocalEngine, RayEngine, missing, run_missing
+    from deploy.batch import LocalEngine, RayEngine, missing, run_missing
     from deploy.paper.making import make_report
     from deploy.report import PatientConsole
 

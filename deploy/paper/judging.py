@@ -13,9 +13,9 @@ from agents.controllers.reference import ReferenceGains
 from deploy.paper import claims
 from deploy.paper.ablations import ALONE
 from deploy.paper.claims import Found
-from deploy.paper.plan import Run
 from deploy.paper.results import Results, hand_places
 from deploy.paper.statistics import Spread, spread
+from deploy.planned_run import Run
 from sim_server.verdict import Verdict
 
 Array = NDArray[np.float64]

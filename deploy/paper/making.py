@@ -8,7 +8,7 @@ from pathlib import Path
 from deploy.paper.ablations import TIMES_THREE
 from deploy.paper.drawing import LAWS, draw, draw_ablations, draw_sweeps
 from deploy.paper.judging import CLAIMS, Judged, judge
-from deploy.paper.plan import SECTION_VI, Run
+from deploy.paper.plan import SECTION_VI
 from deploy.paper.report import (
     ablation_tables,
     claims_table,
@@ -26,6 +26,7 @@ from deploy.paper.report import (
 from deploy.paper.results import Results
 from deploy.paper.targets import TARGETS
 from deploy.paper.verifying import REPORT
+from deploy.planned_run import Run
 
 ABLATIONS_PNG, SWEEPS_PNG = "paper-ablations.png", "paper-sweeps.png"
 

@@ -1,23 +1,16 @@
 """What is run for the report: every condition of section VI, its laws and seeds, and the ablations.
 
-A :class:`Run` is one ``palanquin run``. What it is follows from its scenario, its changes and its seed alone, and so
-does the folder that it lies in: a report that was interrupted goes on with what is missing, and what two experiments
-ask for is run once.
+Each is a :class:`deploy.planned_run.Run`, so what two experiments ask for is run once.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, Literal
 
-from sim_server.scenario_files import load_scenario
+from deploy.planned_run import Changes, Run, merged
 
-Changes = Mapping[str, Any]
 Preset = Literal["paper", "fixed", "palanquin"]
 
 PRESETS: Mapping[Preset, Changes] = {
@@ -76,50 +69,6 @@ SECTION_VI: Mapping[str, tuple[Condition, ...]] = {
 """The experiments of section VI, each with its conditions."""
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run of the report."""
-
-    group: str
-    """The experiment, or the ablation, that it belongs to."""
-    condition: str
-    """The condition, or the ablation's value."""
-    law: Preset
-    scenario: str
-    changes: Changes
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """As tables and messages say it."""
-        return f"{self.group}/{self.condition}/{self.law}/seed-{self.seed}"
-
-    @property
-    def place(self) -> str:
-        """Where its run folder lies, under the report's."""
-        return f"{self.scenario}/seed-{self.seed}-{self.digest[:12]}"
-
-    @property
-    def command(self) -> str:
-        """That makes it again."""
-        settings = [word for setting in self.settings() for word in ("--set", setting)]
-        return shlex.join(["palanquin", "run", self.scenario, "--seed", str(self.seed), *settings])
-
-    def resolved(self) -> dict[str, Any]:
-        """The whole scenario as the simulator gets it."""
-        changes = merged(self.changes, {"seed": self.seed})
-        return load_scenario(self.scenario, changes).scenario.model_dump(mode="json")
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 (hex) of that: two runs with the same one are the same run."""
-        return hashlib.sha256(json.dumps(self.resolved(), sort_keys=True).encode()).hexdigest()
-
-    def settings(self) -> list[str]:
-        """Its changes as ``--set`` takes them."""
-        return [f"{key}={_toml(value)}" for key, value in _flat(self.changes)]
-
-
 def section_vi_runs(seeds: range, presets: Sequence[Preset] = tuple(PRESETS)) -> Iterator[Run]:
     """Every run of the experiments with these laws."""
     for group, conditions in SECTION_VI.items():
@@ -135,25 +84,3 @@ def condition_changes(condition: Condition, preset: Preset) -> dict[str, Any]:
     """What a condition with this law changes of its scenario."""
     changes = merged({"duration_s": condition.duration_s}, merged(RECORD, START_DIFFERS))
     return merged(changes, merged(PRESETS[preset], condition.changes))
-
-
-def merged(below: Changes, above: Changes) -> dict[str, Any]:
-    """Nested tables laid over each other; what is above wins."""
-    both = dict(below)
-    for key, value in above.items():
-        under = both.get(key)
-        both[key] = merged(under, value) if isinstance(value, Mapping) and isinstance(under, Mapping) else value
-    return both
-
-
-def _flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in changes.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
-
-
-def _toml(value: Any) -> str:
-    """A plain value as TOML writes it, which for numbers, texts and lists of them is JSON."""
-    return json.dumps(list(value) if isinstance(value, tuple) else value)

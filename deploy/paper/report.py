@@ -15,10 +15,11 @@ import numpy as np
 from deploy.paper.ablations import ABLATIONS, SWEEPS
 from deploy.paper.claims import rms, summed_torque
 from deploy.paper.judging import Judged, height_error
-from deploy.paper.plan import SECTION_VI, Run
+from deploy.paper.plan import SECTION_VI
 from deploy.paper.results import Results
 from deploy.paper.statistics import Spread, spread
 from deploy.paper.verifying import physical
+from deploy.planned_run import Run
 
 WORDS = {"holds": "holds", "violated": "**does not hold**", "unknown": "open"}
 COMPARED = (

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.arm_model import ArmModel
-from deploy.paper.batch import COST
-from deploy.paper.plan import Run
+from deploy.batch import COST
 from deploy.paper.statistics import Spread, spread
+from deploy.planned_run import Run
 from sim_server.run_folder import METRICS, RUN, TRACE
 from sim_server.trace import read_trace
 

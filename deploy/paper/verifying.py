@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from deploy.batch import BatchError, run_one
 from deploy.exit_status import BAD_INPUT
-from deploy.paper.batch import BatchError, run_one
-from deploy.paper.plan import PRESETS, Preset, Run
+from deploy.paper.plan import PRESETS, Preset
+from deploy.planned_run import Run
 from sim_server.errors import SimError
 from sim_server.metrics import METRICS as NUMBERS
 from sim_server.run_folder import METRICS

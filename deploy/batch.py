@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from deploy.exit_status import COULD_NOT_RUN
-from deploy.paper.plan import Run
+from deploy.left_over import left_over
+from deploy.planned_run import Run
 from sim_server.errors import SimError
 from sim_server.run_folder import EVENTS, METRICS, RUN, TRACE, write_json
 
@@ -26,7 +27,7 @@ LONGEST_S = 1800.0
 
 
 COST = "cost.json"
-"""In every run folder of a batch: wall time and the processor time of all its processes."""
+"""In every run folder of a batch: wall time and the processor time of all its processes, and those left over."""
 
 
 class BatchError(SimError):
@@ -60,23 +61,27 @@ def is_there(run: Run, root: Path) -> bool:
     try:
         found = json.loads((folder / RUN).read_text(encoding="utf-8"))
         is_it = bool(found["scenario"] == run.resolved() and found["ended"]["completed"])
-        return is_it and not lost_agents(folder)
+        return is_it and (run.may_lose or not lost_agents(folder))
     except (OSError, ValueError, LookupError, TypeError):
         return False
 
 
 def lost_agents(folder: Path) -> list[str]:
-    """Who was lost in a run, with the reason. No run here loses anybody on purpose: it is then not the run that was
-    asked for. Raises ``OSError`` and ``ValueError`` where the events cannot be read."""
+    """Who was lost in a run, with the reason. Raises ``OSError`` and ``ValueError`` where the events cannot be read."""
     lines = (folder / EVENTS).read_text(encoding="utf-8").splitlines()
     return [f"{event['agent']} ({event['why']})" for event in map(json.loads, lines) if event["kind"] == "lost"]
 
 
-def run_one(run: Run, folder: str) -> str:
+def run_one(run: Run, folder: str, *, cwd: str | None = None) -> str:
     """Run it into this folder, in place of what is there; what was in the way, or nothing.
 
-    A verdict is no problem, whatever it is: the report judges for itself. What it cost is left beside the run.
+    A verdict is no problem, whatever it is: who asked for the run judges it. What it cost is left beside the run, and
+    which of its processes were still there when its command had ended.
+
+    Args:
+        cwd: folder in which the command runs and a law of the user's own is looked for; the present one by default.
     """
+    folder = str(Path(folder).absolute())  # also if the command runs elsewhere
     shutil.rmtree(folder, ignore_errors=True)
     began_s = time.monotonic()
     command = [sys.executable, "-m", "deploy.cli", "run", run.scenario, "--seed", str(run.seed), "--out", folder]
@@ -84,7 +89,7 @@ def run_one(run: Run, folder: str) -> str:
     for setting in run.settings():
         command += ["--set", setting]
     with tempfile.TemporaryFile("w+") as words:
-        launched = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words)
+        launched = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words, cwd=cwd)
         over = threading.Timer(LONGEST_S, launched.terminate)  # it ends its processes then
         over.start()
         try:
@@ -102,9 +107,10 @@ def run_one(run: Run, folder: str) -> str:
     if took_s >= LONGEST_S:
         return f"not at its end after {LONGEST_S:g} s"
     if (Path(folder) / METRICS).exists():
-        if lost := lost_agents(Path(folder)):
+        if not run.may_lose and (lost := lost_agents(Path(folder))):
             return f"lost {', '.join(lost)}, which nobody ordered: not the run that was asked for"
-        write_json(Path(folder) / COST, {"wall_s": round(took_s, 2), "processor_s": used.ru_utime + used.ru_stime})
+        cost = {"wall_s": round(took_s, 2), "processor_s": used.ru_utime + used.ru_stime}
+        write_json(Path(folder) / COST, {**cost, "left_over": left_over(Path(folder))})
         return ""
     return f"exit status {launched.returncode}: {said[-1] if said else 'it said nothing'}"
 
@@ -131,7 +137,7 @@ class LocalEngine:
 
 
 class RayEngine:
-    """A Ray cluster (the extra ``ray``) whose machines share the report's folder.
+    """A Ray cluster (the extra ``ray``) whose machines share the batch's folder.
 
     Args:
         address: of the cluster; None for the one that RAY_ADDRESS names, or one of this machine's own.
