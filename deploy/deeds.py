@@ -1,6 +1,8 @@
-"""Deeds done for a scenario's events: kill, stop, hang, slow, continue and start, each confirmed; and leave, which
-takes an agent simulated time and is therefore only asked for. Here to processes of this machine; deploy/docker_engine.py
-does them to containers."""
+"""Deeds done for a scenario's events: kill, stop, hang, slow, continue and start, each confirmed.
+
+And leave, which takes an agent simulated time and is therefore only asked for. Here to processes of this machine;
+deploy/docker_engine.py does them to containers.
+"""
 
 from __future__ import annotations
 
