@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 
 class SimError(Exception):
     """Base of every error that the simulation side raises on purpose.
@@ -35,3 +37,17 @@ class ScenarioError(SimError):
         if fix:
             text += f". {fix}"
         super().__init__(text)
+
+
+class CannotRender(SimError):
+    """There is nothing to render with."""
+
+    exit_status = 3
+
+    def __init__(self, problem: Exception) -> None:
+        by = os.environ.get("MUJOCO_GL", "default")
+        super().__init__(
+            f"no picture can be rendered: MuJoCo found no library for off-screen OpenGL ({by}: {problem}); expected "
+            "EGL (Debian: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri) or OSMesa (libosmesa6, with "
+            "MUJOCO_GL=osmesa)"
+        )

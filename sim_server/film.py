@@ -6,14 +6,13 @@ MuJoCo is loaded; ``palanquin render`` sees to that.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_server.errors import SimError
+from sim_server.errors import CannotRender
 from sim_server.layout import Array
 from sim_server.looks import Arrow, Camera
 from sim_server.marks import ARROW_M_PER_N, SHORTEST_ARROW_N, force_colour
@@ -21,16 +20,6 @@ from sim_server.playback import Forces, RecordedRun
 
 LARGEST = (1280, 720)
 """Pixels of the off-screen buffer that a world's model asks for."""
-MISSING_GL = (
-    "no picture can be rendered: MuJoCo found no library for off-screen OpenGL ({problem}); expected EGL (Debian: "
-    "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri) or OSMesa (libosmesa6, with MUJOCO_GL=osmesa)"
-)
-
-
-class CannotRender(SimError):
-    """There is nothing to render with."""
-
-    exit_status = 3
 
 
 def shoot(
@@ -78,4 +67,4 @@ def _saying_what_is_missing() -> Iterator[None]:
     try:
         yield
     except (ImportError, RuntimeError, AttributeError, OSError) as error:  # what is missing decides which
-        raise CannotRender(MISSING_GL.format(problem=f"{os.environ.get('MUJOCO_GL', 'default')}: {error}")) from None
+        raise CannotRender(error) from None

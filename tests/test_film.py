@@ -95,3 +95,13 @@ def test_what_cannot_be_rendered_is_refused_in_one_sentence(
     assert len(sentence.splitlines()) == 1
     assert said in sentence
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.system
+def test_a_library_that_is_missing_is_named_and_nothing_is_written(run_folder: Path, tmp_path: Path) -> None:
+    """A name of no library: whatever this machine has, MuJoCo finds nothing to draw with."""
+    done = run_to_end("render", run_folder, "--out", "film.gif", cwd=tmp_path, environment={"MUJOCO_GL": "nothing"})
+    assert done.returncode == 3
+    assert len(done.stderr.splitlines()) == 1
+    assert "libegl1" in done.stderr
+    assert not any(tmp_path.iterdir())

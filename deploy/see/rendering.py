@@ -17,6 +17,7 @@ from PIL import Image
 from deploy.exit_status import BAD_INPUT, fail
 from deploy.see.caption import write_caption
 from deploy.see.curves import GOAL, LOAD, TILT, Start, curves
+from sim_server.errors import CannotRender
 from sim_server.marks import GOAL_COLOUR, PUSH_COLOUR, eight_bit
 from sim_server.robots import ACCENTS
 
@@ -79,7 +80,7 @@ def render(folder: Path, out: Path, wanted: Wanted) -> int:
 
     Raises:
         sim_server.run_folder.RunFolderError: it is no run folder.
-        sim_server.film.CannotRender: there is no library for off-screen OpenGL.
+        CannotRender: there is no library for off-screen OpenGL.
     """
     kind = out.suffix.lower()
     if kind not in SIZES:
@@ -91,7 +92,12 @@ def render(folder: Path, out: Path, wanted: Wanted) -> int:
     if not out.absolute().parent.is_dir():
         fail(f"--out {out}: there is no folder {out.absolute().parent}", BAD_INPUT)
     os.environ.setdefault("MUJOCO_GL", HEADLESS)
-    from sim_server.playback import read_recorded
+    try:
+        from sim_server.playback import read_recorded
+    except (ImportError, AttributeError, OSError) as error:  # MuJoCo loads what draws with itself
+        if isinstance(error, ModuleNotFoundError):
+            raise
+        raise CannotRender(error) from None
 
     run = read_recorded(folder)
     first, last = (float(run.trace["time_s"][k]) for k in (0, -1))
