@@ -94,7 +94,7 @@ def render(folder: Path, out: Path, wanted: Wanted) -> int:
     os.environ.setdefault("MUJOCO_GL", HEADLESS)
     try:
         from sim_server.playback import read_recorded
-    except (ImportError, AttributeError, OSError) as error:  # MuJoCo loads what draws with itself
+    except (ImportError, RuntimeError, AttributeError, OSError) as error:  # MuJoCo loads what draws with itself
         if isinstance(error, ModuleNotFoundError):
             raise
         raise CannotRender(error) from None
