@@ -30,6 +30,10 @@ COST = "cost.json"
 """In every run folder of a batch: wall time and the processor time of all its processes, and those left over."""
 
 
+_GOING_ON: set[subprocess.Popen[bytes]] = set()
+"""Runs of this process."""
+
+
 class BatchError(SimError):
     """A run of a batch could not be run. What the others left stays, and is not run again."""
 
@@ -92,6 +96,7 @@ def run_one(run: Run, folder: str, *, cwd: str | None = None) -> str:
         launched = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words, cwd=cwd)
         over = threading.Timer(LONGEST_S, launched.terminate)  # it ends its processes then
         over.start()
+        _GOING_ON.add(launched)
         try:
             _, status, used = os.wait4(launched.pid, 0)
             launched.returncode = os.waitstatus_to_exitcode(status)
@@ -100,6 +105,7 @@ def run_one(run: Run, folder: str, *, cwd: str | None = None) -> str:
             launched.wait()
             raise
         finally:
+            _GOING_ON.discard(launched)
             over.cancel()
         words.seek(0)
         said = words.read().strip().splitlines()
@@ -132,6 +138,12 @@ class LocalEngine:
                 for future in as_completed(waiting):
                     run = waiting[future]
                     yield Done(run, future.result())
+            except BaseException:  # whoever ends the batch, however, waits for no run
+                for future in waiting:
+                    future.cancel()
+                for launched in list(_GOING_ON):
+                    launched.terminate()
+                raise
             finally:
                 pool.shutdown(cancel_futures=True)
 

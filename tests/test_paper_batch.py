@@ -8,13 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
 from deploy.batch import Done, is_there, run_missing
+from deploy.cli import app
 from deploy.paper.ablations import ABLATIONS, ablation_runs, times_three_runs
 from deploy.paper.plan import section_vi_runs
-from deploy.paper.verifying import REPORT, ReportError, differences, read_report, run_of, sample
+from deploy.paper.verifying import (
+    REPORT,
+    ReportError,
+    differences,
+    physical,
+    read_report,
+    run_of,
+    sample,
+    sha256_of,
+    spoiled,
+)
 from deploy.planned_run import Run, merged
 from deploy.settings import scenario_changes
 from sim_server.run_folder import EVENTS, METRICS, RUN, TRACE
@@ -177,6 +189,36 @@ def test_what_is_no_report_is_refused_in_one_sentence(content: str, tmp_path: Pa
     file.write_text(content)
     with pytest.raises(ReportError, match="report"):
         read_report(tmp_path)
+
+
+def test_a_report_without_versions_or_of_an_unknown_scenario_is_none(tmp_path: Path) -> None:
+    whole: dict[str, Any] = {"versions": {}, "runs": [entry()]}
+    (tmp_path / REPORT).write_text(json.dumps(whole))
+    assert read_report(tmp_path)["runs"]
+    spoiled_ones = [{"runs": whole["runs"]}, {**whole, "versions": []}]
+    spoiled_ones += [{**whole, "runs": [entry() | {"scenario": "nowhere"}]}]
+    spoiled_ones += [{**whole, "runs": [entry() | {"changes": {"load": {"mass_kg": -1.0}}}]}]
+    for each in spoiled_ones:
+        (tmp_path / REPORT).write_text(json.dumps(each))
+        with pytest.raises(ReportError, match="is no report"):
+            read_report(tmp_path)
+
+
+def test_an_entry_that_was_changed_by_hand_is_told() -> None:
+    metrics = physical({"verdict": "holds", "tilt_max_deg": 0.2})
+    good = entry() | {"digest": run(1).digest, "metrics": metrics, "metrics_sha256": sha256_of(metrics)}
+    assert spoiled({"runs": [good]}) == []
+    for changed in ({"digest": "0"}, {"seed": 2}, {"metrics": metrics | {"tilt_max_deg": 0.1}}, {"scenario": "hold"}):
+        assert spoiled({"runs": [good | changed]}) == [good["name"]], changed
+
+
+def test_a_place_where_no_report_can_be_written_is_told_before_any_run(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    engine_runs = tmp_path / "runs"
+    outcome = CliRunner().invoke(app, ["paper", "--short", "--runs", str(engine_runs), "--out", str(tmp_path / "file")])
+    assert outcome.exit_code == 2
+    assert "no report can be written there" in outcome.output
+    assert not engine_runs.exists()
 
 
 def test_a_missing_report_is_named(tmp_path: Path) -> None:

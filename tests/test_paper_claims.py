@@ -134,6 +134,18 @@ def test_a_loss_is_felt_only_if_both_tilt_and_yaw_are_twice_the_undisturbed() ->
     assert not claims.is_felt(yaw_only, undisturbed).holds
 
 
+def test_what_a_push_tilts_is_measured_from_when_it_begins_to_a_second_after_its_end() -> None:
+    def found(tilt: Array) -> claims.Found:
+        return claims.tilts_little(carried(**{"load.quat_wxyz": quats(tilt)}), 3.0, 5.0, "pushed")
+
+    assert found(bump(5.0, 0.0, 2.9)).value == pytest.approx(0.0, abs=1e-6), "what was before is not the push's"
+    assert found(bump(5.0, 6.5, 10.0)).value == pytest.approx(0.0, abs=1e-6)
+    for begin_s, end_s in ((3.0, 4.0), (4.9, 5.5), (5.5, 6.5)):
+        assert found(bump(0.9, begin_s, end_s)).holds
+        assert not found(bump(1.1, begin_s, end_s)).holds
+    assert found(0.3 - bump(0.3, 3.5, 4.0)).value == pytest.approx(0.3, abs=1e-6), "less tilt is a change too"
+
+
 def test_one_arm_fails_if_a_corner_of_the_load_comes_down_to_the_floor() -> None:
     footprint = (1.6, 0.9)
     assert claims.needs_a_team(carried(), footprint).value == pytest.approx(0.1)

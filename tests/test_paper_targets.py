@@ -61,6 +61,14 @@ def test_each_target_is_missed_by_what_it_is_about_and_by_nothing_else(
     assert {name for name, verdict in found.items() if verdict != "holds"} == {target}
 
 
+def test_a_seed_whose_run_to_compare_with_is_missing_says_nothing(tmp_path: Path) -> None:
+    results(tmp_path)
+    found = verdicts(Results(tmp_path, [run for run in RUNS if run.law == "palanquin"]))
+    assert {name for name, verdict in found.items() if verdict == "unknown"} == {
+        name for name in found if name.startswith("x3")
+    }
+
+
 def test_a_target_without_runs_is_unknown(tmp_path: Path) -> None:
     assert set(verdicts(Results(tmp_path, list[Run]())).values()) == {"unknown"}
 

@@ -22,6 +22,8 @@ SELECTIVE = 3.0
 ACCURATE_M, ACCURATE_DEG = 0.010, 1.0
 """Task space "maintained": 10 mm and 1 degree, root mean squares, while the hand is pushed about by decimetres. (Peaks
 are a matter of how hard it is pushed; the paper gives no forces.)"""
+CLEARLY_SMALLER = 0.7
+"""Error with dynamic over that with fixed stiffness."""
 SETTLED = 0.01
 """Part of the final mean torque within which it has settled."""
 NEAR_GOAL_M = 0.3
@@ -85,7 +87,7 @@ def level_kept(trace: Trace) -> Found:
 
 def smaller_error(fixed: Array, dynamic: Array) -> Found:
     """Height errors, (rows,) m: the ratio of their root mean squares."""
-    return at_most(rms(dynamic) / rms(fixed), "of fixed", 1.0)
+    return at_most(rms(dynamic) / rms(fixed), "of fixed", CLEARLY_SMALLER)
 
 
 def smaller_torque(fixed: Trace, dynamic: Trace) -> Found:
@@ -136,6 +138,13 @@ def goes_straight(trace: Trace, goal_m: tuple[float, float]) -> Found:
     until = int(np.argmin(goal_distance_m(trace["load.position"], goal_m))) + 1
     way = float(np.linalg.norm(np.diff(place[:until], axis=0), axis=1).sum())
     return at_most(way / float(np.hypot(*(place[until - 1] - place[0]))), "of straight", STRAIGHT)
+
+
+def tilts_little(trace: Trace, begin_s: float, end_s: float, condition: str) -> Found:
+    """How far a disturbance, and the second after it, takes the tilt from what it was right before, deg."""
+    time_s, tilt = trace["time_s"], tilt_deg(trace["load.quat_wxyz"])
+    during = (time_s >= begin_s) & (time_s <= end_s + BACK_AFTER_S)
+    return at_most(float(np.abs(tilt[during] - tilt[time_s < begin_s][-1]).max()), "deg", TILT_DEG[condition])
 
 
 def comes_back(trace: Trace, begin_s: float, end_s: float) -> Found:

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT
+from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail
 
 if TYPE_CHECKING:
     from deploy.paper.judging import Judged
@@ -47,6 +47,7 @@ def paper(
 
     wanted = _chosen(_planned(seeds, short=short), only, "--only", "group")
     wanted = _chosen(wanted, law, "--law", "law")
+    _check_place(out)
     console = PatientConsole()
     where = RayEngine(ray_address) if engine == "ray" else LocalEngine(at_once)
     bar = Progress(
@@ -66,10 +67,21 @@ def paper(
     console.print(f"report: {out / 'paper.md'}, {out / 'paper.html'}", soft_wrap=True)
     if left:
         raise typer.Exit(COULD_NOT_RUN)
-    verdicts = {each.verdict for each in judged if each.preset == "paper" and each.found}
+    claims = [each for each in judged if each.found]
+    verdicts = {each.verdict for each in claims if each.preset == "paper"} or {each.verdict for each in claims}
     raise typer.Exit(
         OF_VERDICT["violated" if "violated" in verdicts else "unknown" if "unknown" in verdicts else "holds"]
     )
+
+
+def _check_place(out: Path) -> None:
+    """Before an hour of runs: whether the report can be written there. Ends the verb with one sentence if not."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as error:
+        fail(f"--out {out}: no report can be written there ({error.strerror}); expected a folder", BAD_INPUT)
 
 
 def _planned(seeds: int, *, short: bool) -> list[Run]:
@@ -118,7 +130,7 @@ def verify(
     seed: Annotated[int, typer.Option(help="Which ones: another seed draws others.")] = 1,
 ) -> None:
     """Run a sample of a report's runs again, and compare."""
-    from deploy.paper.verifying import differences, read_report, run_again, sample
+    from deploy.paper.verifying import differences, read_report, run_again, sample, spoiled
     from sim_server.run_description import versions
 
     content = read_report(report)
@@ -126,6 +138,9 @@ def verify(
     exact = all(content["versions"].get(name) == version for name, version in ours.items())
     console, wrong = Console(), 0
     console.print("same versions: every bit has to be the same" if exact else "other versions: one part in a thousand")
+    for name in spoiled(content) if exact else ():
+        wrong += 1
+        console.print(f"{name}: DIFFERS: its digests are not those of what it says of itself", markup=False)
     for entry in sample(content, count, seed):
         with tempfile.TemporaryDirectory() as folder:
             found = differences(entry, run_again(entry, Path(folder) / "run"), exact=exact)

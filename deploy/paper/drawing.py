@@ -23,7 +23,7 @@ log = logging.getLogger("palanquin.paper")
 
 LAWS = ("paper", "palanquin")
 """The laws whose claims are judged and drawn."""
-CURVES = ("tilt_max_deg", "sag_max_mm", "goal_error_m", "torque_rms_Nm")
+CURVES = ("tilt_max_deg", "sag_max_mm", "goal_error_m", "arrival_time_s", "internal_force_rms_N", "torque_rms_Nm")
 """Metrics of the ablations' figure."""
 
 

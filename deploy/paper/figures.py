@@ -93,15 +93,15 @@ def figure_5(columns: Sequence[tuple[str, Trace, Array, Array]], file: Path) -> 
 
 
 def figure_6(panels: Sequence[Shown], closer: Sequence[Shown], pictures: Sequence[Array], file: Path) -> None:
-    """Top: start and end of a carry. Middle: the load's centre over time, a panel a condition, disturbances shaded.
-    Bottom: the rotations out of the plane of all conditions in one axis.
+    """Top: start and end of a carry. Below: the load's centre over time, a panel a condition, disturbances shaded.
+    Last, bottom right as in the paper: the rotations out of the plane of all conditions in one axis.
 
     Args:
         pictures: (height, width, 3) of the start and the end; empty if none could be rendered.
     """
-    rows = (len(panels) + 1) // 2
-    figure = plt.figure(figsize=(11, 3.2 * (rows + 1) + (3.2 if pictures else 0)), layout="constrained")
-    grid = figure.add_gridspec(rows + 1 + bool(pictures), 2)
+    rows = len(panels) // 2 + 1
+    figure = plt.figure(figsize=(11, 3.2 * (rows + bool(pictures))), layout="constrained")
+    grid = figure.add_gridspec(rows + bool(pictures), 2)
     for k, picture in enumerate(pictures[:2]):
         axes = figure.add_subplot(grid[0, k])
         axes.imshow(picture)
@@ -109,7 +109,7 @@ def figure_6(panels: Sequence[Shown], closer: Sequence[Shown], pictures: Sequenc
         axes.set_title(("start", "end")[k], fontsize=9)
     for k, shown in enumerate(panels):
         _centre(figure.add_subplot(grid[bool(pictures) + k // 2, k % 2]), shown)
-    _rotations(figure.add_subplot(grid[-1, :]), closer)
+    _rotations(figure.add_subplot(grid[-1, 1] if len(panels) % 2 else grid[-1, :]), closer)
     _save(figure, file)
 
 

@@ -70,10 +70,13 @@ def _text(
         "H. E. Carey and J. Werfel, *Collective Transport of Unconstrained Objects via Implicit Coordination and "
         "Adaptive Compliance*, section VI: every experiment through the whole system, a process for every follower, "
         "Zenoh between them, lock-step at 1 kHz.",
-        f"Made by `{command}`: {seeds} seeds a condition. A seed draws how the arms differ from their models, the "
-        "sensors' noise and how the robots stand at the start. Numbers are medians over the seeds with the range of "
-        "the middle 90 %. A claim holds if it does in at least 95 % of the seeds, does not hold if it does in no more "
-        "than half, and else is open. `palanquin verify` runs a sample of this again. " + cost_text(runs, results),
+        f"Made by `{command}`: {seeds} seeds of every condition of section VI, fewer of what stands beside it (the "
+        "tables say how many). A carry is simulated for as long as its heading says, most of them shorter than their "
+        'scenario: numbers are of that time, and "later" is not never. A seed draws how the arms differ from their '
+        "models, the sensors' noise and how the robots stand at the start. Numbers are medians over the seeds with the "
+        "range of the middle 90 %. A claim holds if it does in at least 95 % of the seeds, does not hold if it does in "
+        "no more than half, and else is open. `palanquin verify` runs a sample of this again.",
+        cost_text(runs, results),
         "## Claims, with the paper's law",
         claims_table(judged["paper"]),
         *(f"## {title}\n\n![{title}]({file})" for title, file in drawn.items()),
@@ -83,7 +86,8 @@ def _text(
         *_section(
             "Where `palanquin` beats `paper`, and where it does not",
             comparison_table(results),
-            "Medians of both over the seeds; what is worse with `palanquin` stands in bold type.",
+            "Medians of both over the seeds, of the time that was simulated; what is worse with `palanquin` is in bold "
+            'type. "later": not within that time.',
         ),
         "## All conditions, both laws",
         *(f"### {group}\n\n{conditions_table(results, group)}" for group in SECTION_VI),

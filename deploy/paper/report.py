@@ -18,7 +18,7 @@ from deploy.paper.judging import Judged, height_error
 from deploy.paper.plan import SECTION_VI
 from deploy.paper.results import Results
 from deploy.paper.statistics import Spread, spread
-from deploy.paper.verifying import physical
+from deploy.paper.verifying import physical, sha256_of
 from deploy.planned_run import Run
 
 WORDS = {"holds": "holds", "violated": "**does not hold**", "unknown": "open"}
@@ -92,7 +92,7 @@ def targets_table(judged: Sequence[Judged]) -> str:
 
 def comparison_table(results: Results) -> str:
     """Medians of the paper's law and of ours in every condition of VI-C; what is worse by more than a hundredth stands
-    in bold type."""
+    in bold type. "later": not within the time that was simulated."""
     conditions = [c for c in SECTION_VI["VI-C"] if results.seeds("VI-C", c.name, "palanquin")]
     conditions = [c for c in conditions if results.seeds("VI-C", c.name, "paper")]
     rows = []
@@ -106,11 +106,12 @@ def comparison_table(results: Results) -> str:
             is_worse = ours.median > 1.01 * theirs.median
             cells.append(f"{_median(theirs)} / " + (f"**{_median(ours)}**" if is_worse else _median(ours)))
         rows.append([heading, *cells])
-    return table(["`paper` / `palanquin`", *(c.label for c in conditions)], rows) if conditions else ""
+    head = ["`paper` / `palanquin`", *(f"{c.label}, {c.duration_s:g} s" for c in conditions)]
+    return table(head, rows) if conditions else ""
 
 
 def _median(found: Spread | None) -> str:
-    return f"{found.median:.3g}" if found else "never"
+    return f"{found.median:.3g}" if found else "later"
 
 
 def cost_text(runs: Sequence[Run], results: Results) -> str:
@@ -118,8 +119,8 @@ def cost_text(runs: Sequence[Run], results: Results) -> str:
     costs = [cost for run in {run.place: run for run in runs}.values() if (cost := results.cost(run))]
     processor_s = sum(cost["processor_s"] for cost in costs)
     return (
-        f"These {len(costs)} runs took {processor_s / 60:.0f} minutes of processor time, so "
-        f"{processor_s / 120:.0f} minutes of two cores."
+        f"These {len(costs)} runs took {processor_s / 60:.0f} minutes of processor time: "
+        f"{processor_s / 120:.0f} minutes of two cores that do nothing else."
     )
 
 
@@ -129,7 +130,8 @@ def conditions_table(results: Results, group: str, experiment: str | None = None
     for condition in SECTION_VI[experiment or group]:
         for preset in condition.presets:
             if results.seeds(group, condition.name, preset):
-                rows.append([condition.label, preset, *_metrics(results, group, condition.name, preset)])
+                label = f"{condition.label}, {condition.duration_s:g} s"
+                rows.append([label, preset, *_metrics(results, group, condition.name, preset)])
     return table(["condition", "law", *(heading for _, heading in COMPARED)], rows) if rows else ""
 
 
@@ -212,16 +214,12 @@ def describe(runs: Sequence[Run], results: Results, judged: Sequence[Judged], co
                 "seed": run.seed,
                 "command": run.command,
                 "digest": run.digest,
-                "metrics_sha256": _digest(metrics),
+                "metrics_sha256": sha256_of(metrics),
                 "metrics": metrics,
             }
             for run, metrics in ((run, physical(results.metrics(run))) for run in runs)
         ],
     }
-
-
-def _digest(content: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def versions_of(runs: Sequence[Run], results: Results) -> dict[str, str | None]:

@@ -21,6 +21,10 @@ from sim_server.trace import read_trace
 Array = NDArray[np.float64]
 
 
+class NoSuchRun(LookupError):
+    """A run that a report does not have."""
+
+
 class Results:
     """All runs of one report.
 
@@ -40,8 +44,11 @@ class Results:
         return sorted(self._runs.get((group, condition, law), {}))
 
     def run(self, group: str, condition: str, law: str, seed: int) -> Run:
-        """One run. Raises KeyError if it is not there."""
-        return self._runs[group, condition, law][seed]
+        """One run. Raises :class:`NoSuchRun` if it is not there."""
+        try:
+            return self._runs[group, condition, law][seed]
+        except KeyError:
+            raise NoSuchRun(f"{group}/{condition}/{law}/seed-{seed}") from None
 
     def trace(self, run: Run) -> Mapping[str, Array]:
         """Its trace."""

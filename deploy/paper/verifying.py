@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import random
 from collections.abc import Mapping, Sequence
@@ -50,14 +51,29 @@ def read_report(path: Path) -> dict[str, Any]:
     file = path / REPORT if path.is_dir() else path
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        runs = [(entry["name"], entry["metrics"]["verdict"], run_of(entry)) for entry in content["runs"]]
+        runs = [(entry["name"], entry["metrics"]["verdict"], run_of(entry).resolved()) for entry in content["runs"]]
+        content["versions"].items()
     except FileNotFoundError:
         raise ReportError(f"{file}: no such file: expected a {REPORT} of `palanquin paper`, or its folder") from None
-    except (OSError, ValueError, LookupError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, SimError) as error:
         raise ReportError(f"{file} is no report of `palanquin paper`: {type(error).__name__}: {error}") from None
     if not runs:
         raise ReportError(f"{file}: a report without runs: there is nothing to verify")
     return dict(content)
+
+
+def spoiled(report: Mapping[str, Any]) -> list[str]:
+    """Entries whose digests are not those of the run that they name and of the metrics that they give."""
+    return [
+        str(entry["name"])
+        for entry in report["runs"]
+        if (entry.get("digest"), entry.get("metrics_sha256")) != (run_of(entry).digest, sha256_of(entry["metrics"]))
+    ]
+
+
+def sha256_of(content: Mapping[str, Any]) -> str:
+    """SHA-256 (hex) of the content as JSON."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def run_of(entry: Mapping[str, Any]) -> Run:
