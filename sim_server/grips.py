@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import mujoco
 import numpy as np
 
 from sim_server.layout import Array
@@ -42,13 +39,6 @@ def grip_wrenches(world: World) -> Array:
     wrenches[places, :3] = force
     wrenches[places, 3:] = on_load[welds, 3:] @ R_WO.T - _cross(lever, force)
     return wrenches
-
-
-def dry_friction(world: World, dofs: Sequence[int]) -> Array:
-    """Forces of dry friction at these degrees of freedom in the last step, N or N m each; zeros where there is none."""
-    data = world.data
-    is_friction = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
-    return np.array([float(data.efc_force[is_friction & (data.efc_id == dof)].sum()) for dof in dofs])
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -5,7 +5,7 @@ The one place where a model is specified; ``world.py`` says where everything sta
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -266,6 +266,12 @@ def constraint_columns(model: Any, data: Any, dofs: slice) -> Array:
         mujoco.mj_mulJacVec(model, data, columns[k], unit)
         unit[dof] = 0.0
     return columns.T
+
+
+def dry_friction(data: Any, dofs: Sequence[int]) -> Array:
+    """Forces of dry friction at these degrees of freedom in the last step, N or N m each; zeros where there is none."""
+    is_friction = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+    return np.array([float(data.efc_force[is_friction & (data.efc_id == dof)].sum()) for dof in dofs])
 
 
 def rotation(data: Any, site: int) -> Array:

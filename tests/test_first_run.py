@@ -135,14 +135,14 @@ def test_an_opengl_that_the_environment_asks_for_and_that_is_not_there_is_one_se
 
 
 @pytest.mark.parametrize(
-    ("out", "problem"), [("still.jpg", "another kind of file"), ("no/still.png", "no such folder")]
+    ("out", "problem"), [("still.jpg", "expected a name that ends in"), ("no/still.png", "there is no folder")]
 )
 def test_a_picture_that_cannot_be_written_is_refused_before_anything_is_drawn(
     out: str, problem: str, tmp_path: Path
 ) -> None:
     done = run_to_end("render", "nowhere", "--out", out, cwd=tmp_path)
     assert done.returncode == 2
-    one_line(done.stderr, out, problem, "expected a .png")
+    one_line(done.stderr, out, problem)
 
 
 def test_make_says_which_python_it_needs() -> None:

@@ -49,7 +49,7 @@ def test_a_fixed_base_does_not_move_by_a_bit_whatever_pushes_it(count: int, load
     recorded, feet = rows(plant, 400)
     np.testing.assert_array_equal(feet, np.broadcast_to(feet[0], feet.shape))
     arms = recorded[:, 24:].reshape(400, count, -1)
-    base, velocity, force = arms[:, :, 34:37], arms[:, :, 37:40], arms[:, :, 40:43]
+    base, velocity, force = arms[:, :, 35:38], arms[:, :, 38:41], arms[:, :, 41:44]
     np.testing.assert_array_equal(base, np.broadcast_to(base[0], base.shape))
     np.testing.assert_array_equal(velocity, np.zeros_like(velocity))
     np.testing.assert_array_equal(force, np.zeros_like(force))  # what its agent commands, nothing exerts

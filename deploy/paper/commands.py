@@ -45,8 +45,9 @@ def paper(
     from deploy.paper.making import make_report
     from deploy.report import PatientConsole
 
-    wanted = _chosen(_planned(seeds, short=short), only, "--only", "group")
-    wanted = _chosen(wanted, law, "--law", "law")
+    planned = _planned(seeds, short=short)
+    groups, laws = _chosen(planned, only, "--only", "group"), _chosen(planned, law, "--law", "law")
+    wanted = [run for run in groups if run in laws]
     _check_place(out)
     console = PatientConsole()
     where = RayEngine(ray_address) if engine == "ray" else LocalEngine(at_once)

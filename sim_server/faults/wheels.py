@@ -85,10 +85,10 @@ class WheelStuckEffect(PhysicalEffect):
         world.model.dof_frictionloss[dof] += np.array([friction, friction, WHEEL_LEVER_M * friction])
 
     def watch(self, world: World, tick: int) -> None:
-        from sim_server.grips import dry_friction  # not above: it knows the world, which knows all faults
+        from sim_server.scene import dry_friction  # not above: it knows the scenario, which knows all faults
 
         dof = of(world, self.event).base_dof
-        dragged = dry_friction(world, [dof.start, dof.start + 1])
+        dragged = dry_friction(world.data, [dof.start, dof.start + 1])
         self._most_N = max(self._most_N, float(np.hypot(*dragged)))
 
     @property
