@@ -40,6 +40,8 @@ class Doer:
     def __init__(self, link: Link, run: str, do: Callable[[Deed], str | None]) -> None:
         keys = Keys(run)
         self._do = do
+        self.was_asked = False
+        """Whether the simulator has asked for anything: then its ticks have begun."""
         self._asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._report = link.publisher(keys.order)
         link.subscribe(keys.deeds, self._asked.put)
@@ -52,6 +54,7 @@ class Doer:
                 deed = decode(self._asked.get(timeout=left), Deed)
             except queue.Empty:
                 return
+            self.was_asked = True
             problem = self._do(deed)
             if problem is not None:
                 self._report.put(encode(Done(deed.number, problem)))

@@ -93,4 +93,8 @@ def _is_opengl(frame: FrameType) -> bool:
 
 def _end(text: str, status: int) -> NoReturn:
     print(f"palanquin: {text}", file=sys.stderr)
+    try:
+        sys.stdout.flush()
+    except OSError:  # it is full: what is left in it goes nowhere, else Python tries again at its end, and says so
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(status)

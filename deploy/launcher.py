@@ -250,7 +250,7 @@ class Launcher:
                 progress = decode(news.get(), Progress)
                 started = started or progress.phase == "running"
                 show(progress)
-            failed = None if started else self._failed_agent()
+            failed = None if started or doer.was_asked else self._failed_agent()
             if failed is not None:
                 time.sleep(2 * POLL_S)  # its log may still be on the way to the disk
                 return Ended(
