@@ -15,6 +15,7 @@ from agents.errors import AgentError, NotWelcome
 from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.keys import ArmKeys
+from wire.lifecycle import GREETING_S
 from wire.link import Link
 from wire.messages import Command, End, Goodbye, Hello, LeaderForce, LeaderView, Leaving, Refusal, State, Welcome
 
@@ -22,9 +23,6 @@ log = logging.getLogger("palanquin.agent")
 
 POLL_S = 0.01
 RETRY_S = 0.1
-ANSWER_S = 10.0
-"""The answer to a greeting comes at once, but from a simulator that has no core to itself; a second greeting would be
-refused, since the first was heard."""
 """Between two greetings that nobody answered."""
 WOKEN = b""
 """In the inbox instead of a message: somebody outside wants something of this agent."""
@@ -115,7 +113,7 @@ class AgentSession:
         deadline = time.monotonic() + timeout_s
         patience, in_line = time.monotonic() + wait_s, False
         while time.monotonic() < deadline:
-            reply = self._link.query(self._keys.hello, encode(self._hello), min(ANSWER_S, timeout_s))
+            reply = self._link.query(self._keys.hello, encode(self._hello), min(GREETING_S, timeout_s))
             if reply is None:  # a transport that sees nobody to ask says so at once
                 time.sleep(RETRY_S)
                 continue

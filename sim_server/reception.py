@@ -18,13 +18,13 @@ from sim_server.tally import OPERATOR, STRANGERS, CountedPublisher, Tallies
 from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.keys import ANY_HELLO, ArmKeys, Keys
-from wire.lifecycle import AgentLink, Invitation, Phase, check_hello
+from wire.lifecycle import GREETING_S, AgentLink, Invitation, Phase, check_hello
 from wire.link import Link, Publisher, Question
 from wire.messages import Goodbye, Hello, Leaving, Message, Refusal, Vector, Welcome
 
 LEADER = "leader"
-HELD_S = 8.0
-"""An agent waits ten seconds for an answer to its greeting before it greets again."""
+HELD_S = 0.8 * GREETING_S
+"""A greeting that was held longer is not answered any more: its agent is about to greet again."""
 STRANGERS_KEPT = 100
 """Kinds of strangers that are told apart; a flood of names must not fill the memory."""
 

@@ -110,6 +110,9 @@ def check_hello(hello: Hello, invitation: Invitation) -> None:
             raise Refused(reason, what, got, expected, fix)
 
 
+GREETING_S = 10.0
+"""Wall time that an agent waits for the answer to a greeting before it greets again. The answer comes at once, but from
+a simulator that has no core to itself; a second greeting would be refused, since the first was heard."""
 LEASES_BETWEEN = 1000
 """More greetings than come between two checkpoints of a simulator."""
 REMEMBERED = ("lease", "last_tick", "missed", "longest_miss", "states_sent")

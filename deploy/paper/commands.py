@@ -46,8 +46,9 @@ def paper(
     from deploy.report import PatientConsole
 
     planned = _planned(seeds, short=short)
-    groups, laws = _chosen(planned, only, "--only", "group"), _chosen(planned, law, "--law", "law")
-    wanted = [run for run in groups if run in laws]
+    groups = _names(only, "--only", [run.group for run in planned])
+    laws = _names(law, "--law", [run.law for run in planned])
+    wanted = [run for run in planned if run.group in groups and run.law in laws]
     _check_place(out)
     console = PatientConsole()
     where = RayEngine(ray_address) if engine == "ray" else LocalEngine(at_once)
@@ -99,13 +100,12 @@ def _planned(seeds: int, *, short: bool) -> list[Run]:
     ]
 
 
-def _chosen(runs: list[Run], names: list[str] | None, option: str, attribute: Literal["group", "law"]) -> list[Run]:
-    """Those whose attribute is one of the names; all without names. Raises BadParameter where a name is nothing's."""
-    known = list(dict.fromkeys(getattr(run, attribute) for run in runs))
-    for name in names or []:
+def _names(asked: list[str] | None, option: str, known: Sequence[str]) -> set[str]:
+    """What was asked for; all without an answer. Raises ``typer.BadParameter`` for a name of nothing."""
+    for name in asked or []:
         if name not in known:
-            raise typer.BadParameter(f"{option} {name}: expected one of {', '.join(known)}")
-    return [run for run in runs if not names or getattr(run, attribute) in names]
+            raise typer.BadParameter(f"{option} {name}: expected one of {', '.join(dict.fromkeys(known))}")
+    return set(asked or known)
 
 
 def _print(console: Console, judged: Sequence[Judged]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -86,9 +87,9 @@ class _Cut(PhysicalEffect):
     _ticks = 0
     _most_Nm = 0.0
 
+    @abstractmethod
     def given(self, torque: float) -> float:
         """What the motor gives of it, N m."""
-        raise NotImplementedError
 
     def drive(self, torque: Array, base_force: Array) -> None:
         joint = self.event.joint - 1

@@ -7,6 +7,7 @@ tick, so that the same ticks are hit whatever else happens in a run.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from typing import ClassVar, Literal
 
@@ -33,7 +34,7 @@ class MessageEvent(Lasting):
     """Of each message to be hit."""
 
 
-class MessageEffect:
+class MessageEffect(ABC):
     """A message fault that goes on: see the module.
 
     Args:
@@ -58,9 +59,9 @@ class MessageEffect:
         self._held: list[tuple[int, bytes]] = []
         self._tick, self._nth = -1, 0
 
+    @abstractmethod
     def act(self, payload: bytes, tick: int, rng: np.random.Generator) -> list[bytes] | None:
         """What becomes of a message that is to be hit: the messages that go on now; None if it cannot be hit."""
-        raise NotImplementedError
 
     def chosen(self, tick: int, rng: np.random.Generator) -> bool:
         """Whether this message is to be hit."""

@@ -6,6 +6,7 @@ looks afterwards at what has come of it. All that it is to remember is plain num
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -30,7 +31,7 @@ class ArmEvent(PhysicalEvent):
     arm: str
 
 
-class PhysicalEffect:
+class PhysicalEffect(ABC):
     """A physical fault that goes on.
 
     Args:
@@ -76,9 +77,9 @@ class PhysicalEffect:
         return self.count
 
     @property
+    @abstractmethod
     def count(self) -> str:
         """What has been seen so far, in numbers; nothing if that is nothing."""
-        raise NotImplementedError
 
     def state(self) -> Snapshot:
         """What it remembers."""

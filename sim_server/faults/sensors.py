@@ -6,6 +6,7 @@ message of finite numbers: a value that is missing reads zero, as from a convert
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Literal
 
@@ -17,18 +18,26 @@ from sim_server.snapshot import Snapshot
 
 STREAM = 0x5E250
 """Keeps these draws apart from all others of the same seed."""
+SIZES = ("position_rad", "velocity_rad_s", "torque_Nm", "wrench_N", "wrench_Nm")
+"""Settings of a fault of all channels."""
 UNITS = ("rad", "rad/s", "N m", "N", "N m at the wrist")
 CHANNELS = ("q", "qd", "tau", "wrench")
 
 Channel = Literal["q", "qd", "tau", "wrench"]
 
 
-class SensorBias(ArmEvent):
+class _OfAllChannels(ArmEvent):
+    joint: Joint | None = None
+    """Whose position, velocity and torque; without it all joints'."""
+
+    def problem(self) -> tuple[str, str] | None:
+        return None if any(_sizes(self)) else NOTHING
+
+
+class SensorBias(_OfAllChannels):
     """Readings that are off by a constant."""
 
     kind: Literal["sensor_bias"]
-    joint: Joint | None = None
-    """Whose position, velocity and torque; without it all joints'."""
     position_rad: Finite = 0.0
     velocity_rad_s: Finite = 0.0
     torque_Nm: Finite = 0.0
@@ -37,30 +46,19 @@ class SensorBias(ArmEvent):
     wrench_Nm: Finite = 0.0
     """on each of its moments."""
 
-    def problem(self) -> tuple[str, str] | None:
-        return None if any(_sizes(self)) else NOTHING
 
-
-class SensorNoise(ArmEvent):
+class SensorNoise(_OfAllChannels):
     """Readings with more noise: normal, one standard deviation each, drawn anew in every tick."""
 
     kind: Literal["sensor_noise"]
-    joint: Joint | None = None
-    """Whose position, velocity and torque; without it all joints'."""
     position_rad: NotNegative = 0.0
     velocity_rad_s: NotNegative = 0.0
     torque_Nm: NotNegative = 0.0
     wrench_N: NotNegative = 0.0
     wrench_Nm: NotNegative = 0.0
 
-    def problem(self) -> tuple[str, str] | None:
-        return None if any(_sizes(self)) else NOTHING
 
-
-NOTHING = (
-    "position_rad",
-    "nothing is changed: expected one of position_rad, velocity_rad_s, torque_Nm, wrench_N, wrench_Nm that is not 0",
-)
+NOTHING = "position_rad", f"nothing is changed: expected one of {', '.join(SIZES)} that is not 0"
 
 
 class _OfAChannel(ArmEvent):
@@ -100,9 +98,9 @@ class _Off(PhysicalEffect):
     _ticks = 0
     _most: tuple[float, ...] = (0.0,) * 5
 
+    @abstractmethod
     def wrong(self, reading: Array, tick: int) -> Array:
         """The reading that goes out instead, the callee's own."""
-        raise NotImplementedError
 
     def sense(self, reading: Array, tick: int) -> None:
         wrong = self.wrong(reading, tick)
@@ -183,8 +181,8 @@ class WristDeadEffect(_Off):
         return found
 
 
-def _sizes(event: SensorBias | SensorNoise) -> tuple[float, ...]:
-    return event.position_rad, event.velocity_rad_s, event.torque_Nm, event.wrench_N, event.wrench_Nm
+def _sizes(event: _OfAllChannels) -> tuple[float, ...]:
+    return tuple(float(getattr(event, name)) for name in SIZES)
 
 
 def _borders(width: int) -> list[int]:
