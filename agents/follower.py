@@ -177,28 +177,47 @@ def run_follower(link: Link, settings: FollowerSettings, departure: Departure | 
 
 def _carry(session: AgentSession, follower: Follower, welcome: Welcome, departure: Departure) -> None:
     """Answer every state until the follower has left all that it carried."""
-    settings = follower.settings
-    log.info("arm %s: joined, %s clock, period %d ns", settings.arm, welcome.clock, welcome.control_period_ns)
+    log.info("arm %s: joined, %s clock, period %d ns", follower.settings.arm, welcome.clock, welcome.control_period_ns)
     follower.begin(welcome)
     period_s = 1e-9 * welcome.control_period_ns
-    in_real_time = welcome.clock == "real-time"
-    receive = session.receive_newest if in_real_time else session.receive
-    timeout_s = settings.state_timeout_s if in_real_time else 1.0
+    if welcome.clock == "real-time":
+        _carry_in_real_time(session, follower, period_s, departure)
+        return
+
+    def answer(state: State) -> Command | None:
+        follower.check(state)
+        if follower.has_retreated:  # the goodbye is the answer to this state: between which ticks it comes is certain
+            return None
+        return follower.answer(state, session.lease, period_s)
+
+    while not follower.has_retreated:
+        if departure.wanted and not follower.is_retreating:
+            _begin_to_leave(session, follower)
+        session.answer_each(State, answer)
+
+
+def _begin_to_leave(session: AgentSession, follower: Follower) -> None:
+    follower.retreat()
+    log.info("arm %s: leaves", follower.settings.arm)
+    session.say_leaving()  # last: whoever ordered it waits for that, and then sends the next state
+
+
+def _carry_in_real_time(session: AgentSession, follower: Follower, period_s: float, departure: Departure) -> None:
+    """Of states that have piled up only the newest is answered, and silence with a hold."""
+    timeout_s = follower.settings.state_timeout_s
     holding = False
     while True:
-        state = receive(timeout_s)
+        state = session.receive_newest(timeout_s)
         if departure.wanted and not follower.is_retreating:
-            follower.retreat()
-            log.info("arm %s: leaves", settings.arm)
-            session.say_leaving()  # last: whoever ordered it waits for that, and then sends the next state
+            _begin_to_leave(session, follower)
             if state is None:
                 continue
         if state is None:
-            hold = follower.hold(session.lease) if in_real_time and not holding else None
+            hold = None if holding else follower.hold(session.lease)
             if hold is not None:
                 holding = True
                 session.send(hold)
-                log.warning("arm %s: no state for %g s: holding", settings.arm, timeout_s)
+                log.warning("arm %s: no state for %g s: holding", follower.settings.arm, timeout_s)
             continue
         if isinstance(state, LeaderView):
             continue
@@ -208,6 +227,6 @@ def _carry(session: AgentSession, follower: Follower, welcome: Welcome, departur
             session.refuse(refusal)
             continue
         holding = False
-        if follower.has_retreated:  # the goodbye is the answer to this state: between which ticks it comes is certain
+        if follower.has_retreated:
             return
         session.send(follower.answer(state, session.lease, period_s))

@@ -178,11 +178,17 @@ def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> 
         )
     point_O = np.array(welcome.points[settings.point])
     settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
-    receive = session.receive_newest if welcome.clock == "real-time" else session.receive
     on_the_way = "".join(f" {stop.goal_m} until {stop.until_s:g} s, then" for stop in settings.stops)
     log.info("leader: joined, pulling %s towards%s %s", settings.point, on_the_way, settings.goal_m)
+
+    def answer(view: LeaderView) -> LeaderForce:
+        force = pull(view, point_O, settings)
+        return LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist()))
+
     while True:
-        view = receive(1.0)
+        if welcome.clock != "real-time":
+            session.answer_each(LeaderView, answer)
+            continue
+        view = session.receive_newest(1.0)
         if isinstance(view, LeaderView):
-            force = pull(view, point_O, settings)
-            session.send(LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist())))
+            session.send(answer(view))

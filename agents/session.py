@@ -9,9 +9,12 @@ import socket
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
+from typing import TypeVar
 
 from agents.errors import AgentError, NotWelcome
+from agents.thread_name import CONTROL, name_this_thread
 from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.keys import ArmKeys
@@ -20,6 +23,8 @@ from wire.link import Link
 from wire.messages import Command, End, Goodbye, Hello, LeaderForce, LeaderView, Leaving, Refusal, State, Welcome
 
 log = logging.getLogger("palanquin.agent")
+
+Told = TypeVar("Told", State, LeaderView)
 
 POLL_S = 0.01
 RETRY_S = 0.1
@@ -64,7 +69,13 @@ class AgentSession:
         self._early = 0
         """How many messages in the inbox were there with the welcome."""
         self.lease = 0
-        link.subscribe(keys.state, self._inbox.put)
+        self._turn = threading.RLock()
+        """Held while an answer is worked out: it is the transport's thread that works or another one, never both."""
+        self._reply: Callable[[bytes], bool] | None = None
+        """What the transport's thread does with a message; without, it goes into the inbox."""
+        self._failure: BaseException | None = None
+        self._thread = 0
+        link.subscribe(keys.state, self._on_message)
         link.watch_alive(sim_alive, self._on_simulator)
 
     def _on_simulator(self, alive: bool) -> None:
@@ -153,6 +164,64 @@ class AgentSession:
             with suppress(LostByTheSimulator):
                 self.receive(0.0)
 
+    def answer_each(self, kind: type[Told], answer: Callable[[Told], Command | LeaderForce | None]) -> None:
+        """Answer every message of a kind on the thread that brings it, until ``answer`` gives None or :meth:`wake`.
+
+        For lock-step: it saves two changes of threads per message. A law that hangs there takes the transport with it,
+        so after the lease, ten seconds, its sign of life goes as well; its missed ticks have told of it before.
+
+        Args:
+            answer: may raise :class:`Refused`, which is counted as in :meth:`receive`, and anything else, which is
+                raised here.
+
+        Raises:
+            RunEnded, SimulatorGone, LostByTheSimulator: as :meth:`receive`.
+        """
+
+        def reply(payload: bytes) -> bool:
+            message = self._read(payload)
+            if not isinstance(message, kind):
+                return True
+            try:
+                answered = answer(message)
+            except Refused as refusal:
+                self.refuse(refusal)
+                return True
+            if answered is not None:
+                self.send(answered)
+            return answered is not None
+
+        with self._turn:
+            while not self._inbox.empty():  # what has come meanwhile, in its order
+                payload = self._next()
+                if payload is None or not reply(payload):
+                    return
+            self._reply = reply
+        try:
+            self._next()
+        finally:
+            with self._turn:
+                self._reply = None
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def _on_message(self, payload: bytes) -> None:
+        with self._turn:
+            if self._reply is None:
+                self._inbox.put(payload)
+                return
+            if self._thread != threading.get_ident():
+                self._thread = threading.get_ident()
+                name_this_thread(CONTROL)
+            try:
+                if self._reply(payload):
+                    return
+            except BaseException as error:  # whatever it is, whoever waits in answer_each raises it
+                self._failure = error
+            self._reply = None
+            self._inbox.put(WOKEN)
+
     def receive(self, timeout_s: float) -> State | LeaderView | None:
         """The next message of the simulator, or None after ``timeout_s`` without one, or after :meth:`wake`.
 
@@ -164,15 +233,22 @@ class AgentSession:
             LostByTheSimulator: this agent was too late too often.
         """
         try:
-            payload = self._inbox.get(timeout=timeout_s)
+            payload = self._next(timeout_s)
         except queue.Empty:
             return None
-        if payload == WOKEN:
-            return None
-        early, self._early = self._early > 0, max(0, self._early - 1)
+        return None if payload is None else self._read(payload)
+
+    def _next(self, timeout_s: float | None = None) -> bytes | None:
+        """Out of the inbox; None after :meth:`wake`. Raises :class:`queue.Empty` and :class:`SimulatorGone`."""
+        payload = self._inbox.get(timeout=timeout_s)
         if payload is None:
             self._is_in = False
             raise SimulatorGone(f"{self._hello.name}: the simulator is gone")
+        return None if payload == WOKEN else payload
+
+    def _read(self, payload: bytes) -> State | LeaderView | None:
+        """What it says, if it is for a law. Raises as :meth:`receive`."""
+        early, self._early = self._early > 0, max(0, self._early - 1)
         try:
             message = decode_any(payload)
         except Refused as refusal:

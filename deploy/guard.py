@@ -15,6 +15,8 @@ from deploy.exit_status import COULD_NOT_RUN
 _PR_SET_PDEATHSIG = 1
 HARD_EXIT_S = 20.0
 """Time that an orderly stop gets."""
+GOODBYE_S = 5.0
+"""Time that an agent gets to say goodbye."""
 
 
 def end_with_parent(on_end: Callable[[], None], *, even_if_stopped: bool) -> None:
@@ -72,19 +74,28 @@ def stop_on_signals(stop: Callable[[], None]) -> None:
 
 def leave_on_signals(leave: Callable[[], bool] = lambda: False) -> None:
     """Let an agent that is told to go do so: Ctrl-C is KeyboardInterrupt, at which it says goodbye at once; SIGTERM
-    asks it to ``leave`` in order, and is the same as Ctrl-C if that is False."""
+    asks it to ``leave`` in order, and is the same as Ctrl-C if that is False. An agent whose law does not come back
+    can say nothing, and is ended after a while."""
+
+    def on_int(number: int, frame: FrameType | None) -> None:
+        _exit_later(GOODBYE_S)
+        signal.default_int_handler(number, frame)
 
     def on_term(number: int, frame: FrameType | None) -> None:
         if not leave():
-            signal.default_int_handler(number, frame)
+            on_int(number, frame)
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, on_int)
     signal.signal(signal.SIGTERM, on_term)
 
 
 def stop_or_exit(stop: Callable[[], None]) -> None:
     """Stop in order; if that does not work, stop."""
     stop()
-    timer = threading.Timer(HARD_EXIT_S, os._exit, [COULD_NOT_RUN])
+    _exit_later(HARD_EXIT_S)
+
+
+def _exit_later(seconds: float) -> None:
+    timer = threading.Timer(seconds, os._exit, [COULD_NOT_RUN])
     timer.daemon = True
     timer.start()

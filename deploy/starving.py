@@ -48,10 +48,10 @@ class Starved:
         self._thread.join()
 
 
-def state_of(pid: int) -> str:
-    """The kernel's letter for what a process's first thread does; nothing if there is none. Linux."""
+def state_of(pid: int, thread: int | None = None) -> str:
+    """The kernel's letter for what a thread of a process does (its first by default); nothing if there is none."""
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+        stat = Path(f"/proc/{pid}/task/{thread or pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
     return stat.rpartition(")")[2].split()[0]

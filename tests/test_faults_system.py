@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 from processes import launched, read_events, read_json
 
+from deploy.hanging import control_threads, is_hung
 from sim_server.trace import read_trace
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -73,7 +73,8 @@ def tell(cwd: Path, events: str, hangs: bool) -> tuple[Path, int]:
         if hangs:
             run.command.wait_until(lambda: run.has("seen", event="hang"), "the hang")
             pid = next(each["pid"] for each in run.events() if each["kind"] == "joined" and each["agent"] == "a1")
-            assert psutil.Process(pid).status() == psutil.STATUS_TRACING_STOP
+            assert is_hung(pid)
+            assert control_threads(pid) != [pid], "in lock-step it is not the first thread"
         status = run.command.end()
         run.command.look()
         assert run.command.survivors() == []
