@@ -283,9 +283,8 @@ def test_a_follower_that_was_leaving_a_simulator_that_died_leaves_the_next_one()
     second = first  # the same place, another simulator
     second.said = []
     second.play("lock-step", strut=(1.5, 0.0, 0.5, 0.0, 1.0, 0.0, 0.0))
-    wait_for(lambda: len(second.said) == 1)
+    wait_for(lambda: second.said[1:] == [Leaving("a1", 3)])
     command = second.tick(0)
-    assert second.said[1:] == [Leaving("a1", 3)]
     assert command.grip_m == OPEN_M, "its hand had opened by then: it goes on from there"
 
 
