@@ -192,12 +192,14 @@ def test_what_is_no_report_is_refused_in_one_sentence(content: str, tmp_path: Pa
 
 
 def test_a_report_without_versions_or_of_an_unknown_scenario_is_none(tmp_path: Path) -> None:
-    whole: dict[str, Any] = {"versions": {}, "runs": [entry()]}
+    whole: dict[str, Any] = {"versions": {}, "runs": [entry()], "claims": []}
     (tmp_path / REPORT).write_text(json.dumps(whole))
     assert read_report(tmp_path)["runs"]
     spoiled_ones = [{"runs": whole["runs"]}, {**whole, "versions": []}]
     spoiled_ones += [{**whole, "runs": [entry() | {"scenario": "nowhere"}]}]
     spoiled_ones += [{**whole, "runs": [entry() | {"changes": {"load": {"mass_kg": -1.0}}}]}]
+    claim = {"name": "yaw", "law": "palanquin", "verdict": "holds", "bound": "<= 6", "seeds": [1, 2], "values": [0.5]}
+    spoiled_ones += [{**whole, "claims": [claim]}, {**whole, "claims": [{}]}]
     for each in spoiled_ones:
         (tmp_path / REPORT).write_text(json.dumps(each))
         with pytest.raises(ReportError, match="is no report"):

@@ -128,9 +128,13 @@ def _print(console: Console, judged: Sequence[Judged]) -> None:
 def verify(
     report: Annotated[Path, typer.Argument(metavar="REPORT", help="A report.json, or the folder that it is in.")],
     count: Annotated[int, typer.Option("--sample", min=1, help="How many runs to run again.")] = 3,
+    claims: Annotated[
+        int, typer.Option("--claims", min=0, help="How many claims to judge again, each in one seed, from new runs.")
+    ] = 2,
     seed: Annotated[int, typer.Option(help="Which ones: another seed draws others.")] = 1,
 ) -> None:
-    """Run a sample of a report's runs again, and compare."""
+    """Run a sample of a report's runs again, judge a sample of its claims again, and compare."""
+    from deploy.paper.judging_again import MadeAgain, drawn, judged_again, unfounded
     from deploy.paper.verifying import differences, read_report, run_again, sample, spoiled
     from sim_server.run_description import versions
 
@@ -142,6 +146,9 @@ def verify(
     for name in spoiled(content) if exact else ():
         wrong += 1
         console.print(f"{name}: DIFFERS: its digests are not those of what it says of itself", markup=False)
+    for name in unfounded(content):
+        wrong += 1
+        console.print(f"{name}: DIFFERS: its verdict does not follow from its values", markup=False)
     for entry in sample(content, count, seed):
         with tempfile.TemporaryDirectory() as folder:
             found = differences(entry, run_again(entry, Path(folder) / "run"), exact=exact)
@@ -149,4 +156,11 @@ def verify(
         console.print(f"{entry['name']}: {'as reported' if not found else 'DIFFERS'}", markup=False)
         for each in found:
             console.print(f"  {each.metric}: reported {each.reported}, found {each.found}", markup=False)
+    with tempfile.TemporaryDirectory() as folder:
+        runs = MadeAgain(content, Path(folder))
+        for one in drawn(content, claims, seed):
+            same, value = judged_again(one, runs, exact=exact)
+            wrong += not same
+            text = "as reported" if same else f"DIFFERS: reported {one.reported}, found {value}"
+            console.print(f"claim {one.name}: {text}", markup=False)
     raise typer.Exit(1 if wrong else 0)

@@ -51,6 +51,8 @@ class Judged:
     claim: Claim
     preset: str
     found: tuple[Found, ...]
+    seeds: tuple[int, ...]
+    """Of each that was found."""
     verdict: Verdict
 
     @property
@@ -67,11 +69,12 @@ class Judged:
 def judge(claim: Claim, results: Results, preset: str) -> Judged:
     """The verdict: ``unknown`` where there are no runs, or where some seeds say yes and some no. A seed without a run
     that the claim compares with says nothing."""
-    found = []
+    found = {}
     for seed in results.seeds(*claim.needs, preset):
         with suppress(NoSuchRun):
-            found.append(claim.check(results, preset, seed))
-    return Judged(claim, preset, tuple(found), verdict_of([each.holds for each in found]))
+            found[seed] = claim.check(results, preset, seed)
+    verdict = verdict_of([each.holds for each in found.values()])
+    return Judged(claim, preset, tuple(found.values()), tuple(found), verdict)
 
 
 def verdict_of(holds: Sequence[bool]) -> Verdict:

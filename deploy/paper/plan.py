@@ -28,8 +28,8 @@ RECORD: Changes = {"record": {"every_ticks": 10, "checkpoint_s": 0.0}}
 
 CARRY_S = 12.0
 """Simulated time of a carry: the paper's law arrives after 8 s."""
-LATE_S, SOON_S = 16.0, 10.0
-"""Of one that is turned or pushed aside and comes late, and of one that is not."""
+PUSHED_S, LATE_S = 14.0, 16.0
+"""Of one that is held up by a push, and of one that is turned aside and comes late."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,8 @@ SECTION_VI: Mapping[str, tuple[Condition, ...]] = {
     "VI-C": (
         Condition("undisturbed", "no disturbance", "transport"),
         Condition("pushed", "50 N for 2 s across", "transport-pushed", LATE_S),
-        Condition("pushed-along", "50 N for 2 s along", "transport-pushed-along", SOON_S),
-        Condition("twisted", "a torque in the plane", "transport-twisted", SOON_S),
+        Condition("pushed-along", "50 N for 2 s along", "transport-pushed-along", PUSHED_S),
+        Condition("twisted", "a torque in the plane", "transport-twisted", PUSHED_S),
         Condition("failed-grasp", "one grasp fails", "failed-grasp", LATE_S),
     ),
 }

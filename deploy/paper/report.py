@@ -198,6 +198,7 @@ def describe(runs: Sequence[Run], results: Results, judged: Sequence[Judged], co
                 "law": each.preset,
                 "verdict": each.verdict,
                 "values": [found.value for found in each.found],
+                "seeds": list(each.seeds),
                 "bound": each.found[0].bound if each.found else "",
                 "unit": each.found[0].unit if each.found else "",
             }

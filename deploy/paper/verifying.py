@@ -52,6 +52,8 @@ def read_report(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         runs = [(entry["name"], entry["metrics"]["verdict"], run_of(entry).resolved()) for entry in content["runs"]]
+        for claim in content["claims"]:
+            _ = [claim[key] for key in ("name", "law", "verdict", "bound")], dict(values_of(claim))
         content["versions"].items()
     except FileNotFoundError:
         raise ReportError(f"{file}: no such file: expected a {REPORT} of `palanquin paper`, or its folder") from None
@@ -60,6 +62,11 @@ def read_report(path: Path) -> dict[str, Any]:
     if not runs:
         raise ReportError(f"{file}: a report without runs: there is nothing to verify")
     return dict(content)
+
+
+def values_of(claim: Mapping[str, Any]) -> list[tuple[int, float]]:
+    """Seed and value of each. Raises ``ValueError`` if they do not match."""
+    return list(zip(claim["seeds"], claim["values"], strict=True))
 
 
 def spoiled(report: Mapping[str, Any]) -> list[str]:
@@ -130,12 +137,13 @@ def differences(entry: Mapping[str, Any], found: Mapping[str, Any], *, exact: bo
         reported = entry["metrics"].get(metric)
         if reported == now:
             continue
-        if exact or not _close(reported, now):
+        if exact or not close(reported, now):
             out.append(Difference(entry["name"], metric, reported, now))
     return out
 
 
-def _close(a: Any, b: Any) -> bool:
+def close(a: Any, b: Any) -> bool:
+    """Whether other versions explain the difference."""
     if not isinstance(a, int | float) or not isinstance(b, int | float):
         return False
     return abs(a - b) <= OTHER_VERSIONS * max(1.0, abs(a), abs(b))
