@@ -1,6 +1,6 @@
 """The paper's equations, one function each: numpy in, numpy out, no state.
 
-Source: H. E. Carey and J. Werfel, "Collective Transport of Unconstrained Objects via Implicit Coordination and
+Source: Carey and Werfel, "Collective Transport of Unconstrained Objects via Implicit Coordination and
 Adaptive Compliance". Letters in the bodies are the paper's; where a printed equation is read in a certain way, the
 docstring says so. SI units throughout; joint angles in rad.
 

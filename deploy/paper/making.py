@@ -67,7 +67,7 @@ def _text(
     seeds = max((len(results.seeds("VI-C", condition.name, "paper")) for condition in SECTION_VI["VI-C"]), default=0)
     parts = [
         "# The paper, reproduced",
-        "H. E. Carey and J. Werfel, *Collective Transport of Unconstrained Objects via Implicit Coordination and "
+        "Carey and Werfel, *Collective Transport of Unconstrained Objects via Implicit Coordination and "
         "Adaptive Compliance*, section VI: every experiment through the whole system, a process for every follower, "
         "Zenoh between them, lock-step at 1 kHz.",
         f"Made by `{command}`: {seeds} seeds of every condition of section VI, fewer of what stands beside it (the "
