@@ -1,4 +1,5 @@
-"""The leader process: sees the load, knows the goal, pulls with a bounded force. Nobody else can hear it."""
+"""The leader process: sees the load, knows the goal or obeys a person, pulls with a bounded force. Nobody else can hear
+it."""
 
 from __future__ import annotations
 
@@ -8,22 +9,36 @@ from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.errors import AgentError
+from agents.person import Person
+from agents.pulling import Array, bounded_pull, rotate, wished_pull
 from agents.session import AgentSession, RunEnded, SimulatorGone, here
+from agents.waypoints import NEAR_M, Place, Waypoints
+from agents.wish import Wish
 from wire.keys import Keys
 from wire.link import Link
 from wire.messages import Hello, LeaderForce, LeaderView, Welcome
 
 log = logging.getLogger("palanquin.leader")
-Array = NDArray[np.float64]
 
 
 class LeaderSettingsError(AgentError):
     """The leader was told something that it cannot pull towards."""
 
     exit_status = 2
+
+
+NO_REAL_TIME = "what a person wants is looked at once a view, whatever wall time that is, and the run will not repeat"
+
+
+def read_waypoint(text: str) -> Place:
+    """From ``X,Y``. Raises :class:`LeaderSettingsError`."""
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        raise LeaderSettingsError(f"leader: waypoint {text!r}: expected X,Y in m, such as 0.8,0.4") from None
+    return x, y
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +85,10 @@ class LeaderSettings:
     """How long to stand in line while another leader is in."""
     reconnect_s: float = 0.0
     """Wall time to wait for a simulator that is gone to come back; 0: end when it goes."""
+    waypoints: tuple[Place, ...] = ()
+    """Where to pull before, each until the load has come near."""
+    near_m: float = NEAR_M
+    """From where on a waypoint counts as reached."""
 
     def __post_init__(self) -> None:
         for what, value in (
@@ -79,9 +98,13 @@ class LeaderSettings:
             ("stiffness", self.stiffness_N_m),
             ("damping", self.damping_Ns_m),
             ("time to wait", self.wait_s),
+            ("radius of the waypoints", self.near_m),
+            *((f"waypoint {k}", x) for k, place in enumerate(self.waypoints, start=1) for x in place),
         ):
             if not math.isfinite(value):
                 raise LeaderSettingsError(f"leader: {what}: got {value}, expected a finite number")
+        if self.stops and self.waypoints:
+            raise LeaderSettingsError("leader: got stops and waypoints, expected one of the two: times, or places")
         before_s = 0.0
         for number, stop in enumerate(self.stops, start=1):
             for value in (*stop.goal_m, stop.until_s):
@@ -98,51 +121,53 @@ class LeaderSettings:
         return next((stop.goal_m for stop in self.stops if time_ns < stop.until_ns), self.goal_m)
 
 
-def bounded_pull(goal_error: Array, velocity: Array, stiffness: float, damping: float, force_max: float) -> Array:
-    """Pull in the plane, (2,) N: stiffness * goal_error - damping * velocity, shortened to force_max.
-
-    Section V of the paper: a lateral force, bounded at 40 N, in the direction of the target, in proportion to the
-    distance. The damping is ours: without it the load overshoots and turns round its own pull.
-
-    Args:
-        goal_error: goal minus the load's place, (2,) m, world.
-        velocity: of the point that is pulled, (2,) m/s, world.
-        stiffness: N/m.
-        damping: N s/m.
-        force_max: N.
-    """
-    force: Array = stiffness * goal_error - damping * velocity
-    size = float(np.linalg.norm(force))
-    # A hair below the bound: rounding of the shortened vector must not put its length above.
-    return force if size <= force_max else force * (force_max / size * (1.0 - 1e-12))
-
-
-def rotate(quat_wxyz: Array, v: Array) -> Array:
-    """The vector v, (3,), turned by the unit quaternion (w, x, y, z)."""
-    w, r = quat_wxyz[0], quat_wxyz[1:]
-    return v + 2.0 * np.cross(r, np.cross(r, v) + w * v)
-
-
-def pull(view: LeaderView, point_O: Array, settings: LeaderSettings) -> Array:
+def pull(view: LeaderView, point_O: Array, settings: LeaderSettings, aim: Place | Wish | None = None) -> Array:
     """The leader's force for one view of the load, (3,) N, world; its vertical part is zero.
 
     Args:
         point_O: the point that is pulled, (3,) m, in the load's frame O.
+        aim: a place to pull to, (2,) m, world, or what a person wants; by default the stop of this time, or the goal.
     """
     arm_W = rotate(np.array(view.quat_wxyz), point_O)
-    velocity = np.array(view.linear_velocity) + np.cross(np.array(view.angular_velocity), arm_W)
-    planar = bounded_pull(
-        np.array(settings.target_m(view.time_ns)) - np.array(view.position[:2]),
-        velocity[:2],
-        settings.stiffness_N_m,
-        settings.damping_Ns_m,
-        settings.force_max_N,
-    )
+    velocity = (np.array(view.linear_velocity) + np.cross(np.array(view.angular_velocity), arm_W))[:2]
+    damping, force_max = settings.damping_Ns_m, settings.force_max_N
+    if isinstance(aim, Wish):
+        planar = wished_pull(aim, velocity, damping, force_max)
+    else:
+        error = np.array(aim or settings.target_m(view.time_ns)) - np.array(view.position[:2])
+        planar = bounded_pull(error, velocity, settings.stiffness_N_m, damping, force_max)
     return np.array([planar[0], planar[1], 0.0])
 
 
-def run_leader(link: Link, settings: LeaderSettings) -> str:
-    """Join, pull at every view until the run ends, and return why it ended.
+class Aims:
+    """What the leader pulls to at each view: what a person wants, or the next waypoint, stop or goal."""
+
+    def __init__(self, settings: LeaderSettings, person: Person | None) -> None:
+        self._waypoints, self._person = Waypoints(settings.waypoints, settings.near_m), person
+
+    def at(self, view: LeaderView) -> Place | Wish | None:
+        """The aim for :func:`pull`; a person's is the newest wish."""
+        if self._person is not None:
+            return self._person.wish
+        return self._waypoints.next_place(view.time_ns, (view.position[0], view.position[1]))
+
+    def described(self, settings: LeaderSettings, clock: str) -> str:
+        """For the log."""
+        if self._person is not None:
+            means = "" if clock == "real-time" else f"; the clock is {clock}: {NO_REAL_TIME}"
+            return f"as a person wants, {settings.force_max_N:g} N at most{means}"
+        by_time = "".join(f"{stop.goal_m} until {stop.until_s:g} s, then " for stop in settings.stops)
+        by_place = "".join(f"{place} until {settings.near_m:g} m from it, then " for place in settings.waypoints)
+        return f"towards {by_time}{by_place}{settings.goal_m}"
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether a person has had enough."""
+        return self._person is not None and self._person.departure.wanted
+
+
+def run_leader(link: Link, settings: LeaderSettings, person: Person | None = None) -> str:
+    """Join, pull at every view until the run ends, or the person who leads goes, and return why it ended.
 
     Raises:
         NotWelcome, AgentError: not let in, nobody there, the simulator is gone, or the load has no such point.
@@ -152,11 +177,14 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
     session = AgentSession(
         link, keys.leader, keys.sim_alive, Hello("leader", settings.run, "leader", "", "", pid, host)
     )
+    aims = Aims(settings, person)
+    if person is not None:
+        person.departure.heard_by(session.wake)
     try:
         welcome = session.join(settings.join_timeout_s, settings.wait_s)
         while True:
             try:
-                _lead(session, settings, welcome)
+                _lead(session, settings, welcome, aims)
             except SimulatorGone:
                 if not settings.reconnect_s:
                     raise
@@ -169,7 +197,7 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
         return "interrupted"
 
 
-def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> NoReturn:
+def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome, aims: Aims) -> NoReturn:
     """Pull at every view."""
     if settings.point not in welcome.points:
         session.leave()
@@ -178,14 +206,16 @@ def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> 
         )
     point_O = np.array(welcome.points[settings.point])
     settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
-    on_the_way = "".join(f" {stop.goal_m} until {stop.until_s:g} s, then" for stop in settings.stops)
-    log.info("leader: joined, pulling %s towards%s %s", settings.point, on_the_way, settings.goal_m)
+    log.info("leader: joined, pulling %s %s", settings.point, aims.described(settings, welcome.clock))
 
     def answer(view: LeaderView) -> LeaderForce:
-        force = pull(view, point_O, settings)
+        force = pull(view, point_O, settings, aims.at(view))
         return LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist()))
 
     while True:
+        if aims.is_given_up:
+            session.leave()
+            raise RunEnded("left")
         if welcome.clock != "real-time":
             session.answer_each(LeaderView, answer)
             continue

@@ -15,7 +15,8 @@ from agents.arm_model import ArmModel
 from agents.departure import Departure
 from agents.errors import AgentError, NotWelcome
 from agents.follower import Follower, run_follower
-from agents.leader import LeaderSettings, bounded_pull, pull, rotate, run_leader
+from agents.leader import LeaderSettings, pull, run_leader
+from agents.pulling import bounded_pull, rotate
 from agents.reach import OPEN_M
 from agents.session import AgentSession, RunEnded
 from wire.codec import decode, decode_any, encode
