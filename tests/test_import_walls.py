@@ -20,6 +20,7 @@ ONLY_DOOR = {
     "zenoh": "wire/zenoh_link.py",
     "pinocchio": "agents/arm_model.py",
     "llvmlite": "agents/machine_code.py",
+    "pygame": "deploy/person/gamepad.py",
 }
 # Who may go past the door, and why: an intruder is a hostile process, which would not use ours.
 PAST_THE_DOOR = {"zenoh": "deploy/chaos/"}
