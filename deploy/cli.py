@@ -11,6 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import importlib.metadata
 import logging
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -21,15 +22,34 @@ from deploy.chaos.commands import app as chaos_app
 from deploy.credentials_cli import credentials, router
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
 from deploy.guard import end_with_parent, leave_on_signals, raise_on_signals, stop_on_signals, stop_or_exit
+from deploy.leader_cli import leader
+from deploy.options import (
+    DEFAULT_ENDPOINT,
+    RECONNECT_S,
+    Connect,
+    OwnCredential,
+    Reconnect,
+    RunName,
+    Settings,
+    Walls,
+    WithParent,
+    log_to_stderr,
+    raise_walls,
+)
 from deploy.paper.commands import paper, verify
 from deploy.see.commands import plot, render
 from deploy.see.commands import record as record_run
 from deploy.see.commands import view as view_run
 from deploy.settings import scenario_changes, tables
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-RECONNECT_S = 30.0
-"""Time to start a simulator that was killed again, by hand. Agents of a launched run end with it."""
+
+class LedBy(StrEnum):
+    """Who leads a run, as a scenario's ``leader.by``."""
+
+    law = "law"
+    keyboard = "keyboard"
+    gamepad = "gamepad"
+
 
 LONGEST_S = 3600.0
 """Of a time that something takes: an hour, and no infinity."""
@@ -46,20 +66,6 @@ app = typer.Typer(
 app.add_typer(chaos_app, name="chaos")
 
 ScenarioName = Annotated[str, typer.Argument(help="A scenario's name (see `palanquin scenarios`) or a TOML file.")]
-Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value (TOML).")]
-RunName = Annotated[str, typer.Option("--run", help="Name of the run.")]
-Connect = Annotated[str, typer.Option("--connect", help="Address of the simulator.")]
-OwnCredential = Annotated[
-    str | None, typer.Option("--credential", metavar="DIR", help="This process's credential; - reads a line of stdin.")
-]
-Reconnect = Annotated[
-    float, typer.Option("--reconnect-s", min=0.0, help="Wait so long for a simulator that is gone; 0: end with it.")
-]
-WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
-Walls = Annotated[
-    bool,
-    typer.Option("--walls", help="Shut this process in: its working folder and the simulator's port only (Linux)."),
-]
 
 
 @app.callback(invoke_without_command=True)
@@ -78,11 +84,16 @@ def run(
     record: Annotated[bool, typer.Option("--record", help="Record run.rrd for the Rerun viewer.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the run in the viewer while it goes on.")] = False,
     viewer: Annotated[str | None, typer.Option(metavar="URL", help="Show it in a viewer that is there.")] = None,
+    leader: Annotated[
+        LedBy | None, typer.Option("--leader", help="Who leads: the scenario's law, or a person at this machine.")
+    ] = None,
     set_: Settings = None,
 ) -> None:
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from deploy.running import run_scenario
 
+    if leader is not None:
+        set_ = [*(set_ or []), f'leader.by="{leader}"']
     raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer))
 
 
@@ -122,7 +133,7 @@ def sim(
     from sim_server.server import Server, check_world, default_folder
     from wire.endpoints import parse_endpoint
 
-    _log_to_stderr()
+    log_to_stderr()
     checkpoint = checkpoint_to_resume(resume, scenario, scenario_changes(seed, set_), run, out)
     if checkpoint is not None:
         named, name = checkpoint.named, checkpoint.run
@@ -183,11 +194,11 @@ def follower(
     from wire.keys import Keys
     from wire.zenoh_link import open_client
 
-    _log_to_stderr()
+    log_to_stderr()
     sys.path.insert(0, os.getcwd())  # for a controller of the user's own
     own = own_credential(credential, arm)
     if walls:  # all of ours is loaded, nothing of the user's
-        _raise_walls(connect)
+        raise_walls(connect)
     gains = tables(set_ or [])
     settings = FollowerSettings(run, arm, arm_model, controller, gains, handover_s, leave_s, reconnect_s=reconnect_s)
     Keys(run).arm(arm)
@@ -199,47 +210,7 @@ def follower(
         print(f"{arm}: {run_follower(link, settings, departure)}")
 
 
-@app.command()
-def leader(
-    run: RunName,
-    goal_m: Annotated[tuple[float, float], typer.Option("--goal-m", metavar="X Y", help="Where the load shall go, m.")],
-    connect: Connect = DEFAULT_ENDPOINT,
-    stop: Annotated[
-        list[str] | None,
-        typer.Option(metavar="X,Y,UNTIL_S", help="Pull there first, until that simulated time; may be repeated."),
-    ] = None,
-    force_max: Annotated[float, typer.Option("--force-max-N", min=0.0)] = 40.0,
-    stiffness: Annotated[float, typer.Option("--stiffness-N-m", min=0.0)] = 100.0,
-    damping: Annotated[float, typer.Option("--damping-Ns-m", min=0.0)] = 320.0,
-    point: Annotated[str, typer.Option(help="Point of the load that is pulled.")] = "front",
-    wait_s: Annotated[
-        float, typer.Option("--wait-s", min=0.0, help="Stand in line so long while another leader is in.")
-    ] = 0.0,
-    walls: Walls = False,
-    credential: OwnCredential = None,
-    reconnect_s: Reconnect = RECONNECT_S,
-    with_parent: WithParent = False,
-) -> None:
-    """Start the leader: it sees the load, knows the goal, and pulls."""
-    from agents.leader import LeaderSettings, Stop, run_leader
-    from deploy.links import own_credential
-    from wire.keys import Keys
-    from wire.zenoh_link import open_client
-
-    _log_to_stderr()
-    own = own_credential(credential, "leader")
-    if walls:
-        _raise_walls(connect)
-    Keys(run)
-    stops = tuple(map(Stop.read, stop or []))
-    settings = LeaderSettings(
-        run, goal_m, force_max, stiffness, damping, point, stops=stops, wait_s=wait_s, reconnect_s=reconnect_s
-    )
-    if with_parent:
-        end_with_parent(lambda: os._exit(COULD_NOT_RUN), even_if_stopped=True)
-    leave_on_signals()
-    with open_client(connect, own) as link:
-        print(f"leader: {run_leader(link, settings)}")
+app.command()(leader)
 
 
 @app.command()
@@ -300,16 +271,6 @@ def _run_name(name: str) -> str:
     """A scenario's name as part of a key."""
     kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower()).strip("-")
     return kept[:40] or "run"
-
-
-def _log_to_stderr() -> None:
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
-
-
-def _raise_walls(connect: str) -> None:
-    from deploy.walls import shut_in
-
-    print(shut_in(connect), flush=True)
 
 
 def main() -> None:

@@ -19,17 +19,20 @@ GOODBYE_S = 5.0
 """Time that an agent gets to say goodbye."""
 
 
-def end_with_parent(on_end: Callable[[], None], *, even_if_stopped: bool) -> None:
+def end_with_parent(
+    on_end: Callable[[], object], *, even_if_stopped: bool, hear: Callable[[bytes], object] = lambda said: None
+) -> None:
     """Call ``on_end`` when standard input closes, which it does when the process that holds its other end is gone.
 
     Args:
+        hear: is given what comes over it until then.
         even_if_stopped: also have the kernel kill this process when its parent dies (Linux): a process that is stopped
             at that moment cannot read its input. For processes that keep nothing worth saving.
     """
 
     def watch() -> None:
-        while os.read(stdin, 4096):
-            pass
+        while said := os.read(stdin, 4096):
+            hear(said)
         on_end()
 
     stdin = sys.stdin.fileno()

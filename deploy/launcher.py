@@ -19,6 +19,7 @@ from pathlib import Path
 
 from deploy.deeds import Doer, Processes
 from deploy.mailbox import Mailbox
+from deploy.person.wishes import Wishes
 from deploy.room import Rooms, room_environment
 from deploy.settings import toml_value
 from sim_server.faults.processes import SimKill, Slow
@@ -90,6 +91,7 @@ class Launcher:
         guests: credentials of everybody. Each process is handed its own over its standard input, so that none of
             them ever is in a file, an argument or an environment that others could read.
         recorder: where an observer records to, as ``palanquin record`` is told; without, there is none.
+        wishes: what a person who leads wants, for the leader's process and no other.
     """
 
     def __init__(
@@ -101,6 +103,7 @@ class Launcher:
         folder: Path,
         guests: Guests,
         recorder: Sequence[str] = (),
+        wishes: Wishes | None = None,
     ) -> None:
         self._scenario_arguments, self._scenario = scenario_arguments, scenario
         self._run, self._endpoint, self._folder, self._guests = run, endpoint, folder, guests
@@ -111,6 +114,7 @@ class Launcher:
         self._rooms = Rooms()
         self._mailbox: Mailbox | None = None
         self._processes: Processes | None = None
+        self._wishes = wishes or Wishes()
 
     def start(self) -> None:
         """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
@@ -216,6 +220,8 @@ class Launcher:
             with suppress(BrokenPipeError):  # it has ended already, and its log says why
                 process.stdin.write(secret)
                 process.stdin.flush()
+        if name == Role.LEADER:
+            self._wishes.listener(process.stdin)
 
     def wait_until_listening(self) -> None:
         """Until the simulator's port is open, or the simulator has ended."""
@@ -327,6 +333,9 @@ def leader_arguments(scenario: Scenario) -> list[str]:
         "--goal-m",
         *(repr(x) for x in leader.goal_m),
         *(f"--stop={','.join(map(repr, (*stop.goal_m, stop.until_s)))}" for stop in leader.stops),
+        *(f"--waypoint={','.join(map(repr, place))}" for place in leader.waypoints),
+        *(["--near-m", repr(leader.near_m)] if leader.waypoints else []),
+        *(["--wishes"] if leader.by != "law" else []),
         "--force-max-N",
         repr(leader.force_max_N),
         "--stiffness-N-m",

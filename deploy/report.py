@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -35,8 +35,8 @@ VERDICT_STYLE = {"holds": "green", "violated": "bold red", "unknown": "yellow"}
 
 
 @contextmanager
-def progress_display(console: Console) -> Iterator[Show]:
-    """A live bar on a terminal; elsewhere a line whenever another tenth of the run is done."""
+def progress_display(console: Console, doing: Callable[[], str] = lambda: "carrying") -> Iterator[Show]:
+    """A live bar on a terminal, with what is being done; elsewhere a line whenever another tenth of the run is done."""
     if not console.is_terminal:
         yield _plain_lines(console)
         return
@@ -55,7 +55,7 @@ def progress_display(console: Console) -> Iterator[Show]:
                 bar.update(task, description=f"waiting for {progress.waiting_for}")
                 return
             done = progress.tick / progress.ticks
-            bar.update(task, description="carrying", completed=done, numbers=_numbers(progress))
+            bar.update(task, description=doing(), completed=done, numbers=_numbers(progress))
 
         yield show
 

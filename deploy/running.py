@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -16,6 +16,8 @@ from agents.errors import GainError
 from deploy.exit_status import COULD_NOT_RUN, fail
 from deploy.guard import Interrupted
 from deploy.launcher import Launcher, everybody
+from deploy.person.launched import led
+from deploy.person.wishes import Wishes
 from deploy.report import PatientConsole, print_metrics, progress_display
 from deploy.see.viewing import RECORDING, viewer_command
 from deploy.settings import scenario_changes
@@ -24,7 +26,7 @@ from sim_server.run_folder import METRICS, compute_metrics
 from sim_server.scenario_files import NamedScenario, load_scenario
 from sim_server.server import check_world, default_folder
 from wire.access import Role
-from wire.credentials import for_one_run
+from wire.credentials import Guests, for_one_run
 from wire.zenoh_link import free_endpoint, open_client
 
 
@@ -68,13 +70,23 @@ def run_scenario(
     guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR, Role.OBSERVER])
     recorder = [*(["--save", str(folder / RECORDING)] if record else []), *(["--view"] if view else [])]
     recorder += ["--viewer", viewer] if viewer else []
-    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests, recorder)
+    wishes = Wishes()
+    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests, recorder, wishes)
+    with led(named.scenario, wishes.tell, console) as doing:
+        status, problem = _carry(launcher, endpoint, guests, console, doing)
+    return _conclude(console, folder, status, problem, picture=picture)
+
+
+def _carry(
+    launcher: Launcher, endpoint: str, guests: Guests, console: Console, doing: Callable[[], str]
+) -> tuple[int, str]:
+    """Launch it and show its progress until all processes have ended; the exit status, and what went wrong."""
     problem = ""
     try:
         launcher.start()
         if launcher.sim.process.poll() is not None:
             fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
-        with open_client(endpoint, guests.of(Role.OPERATOR)) as link, progress_display(console) as show:
+        with open_client(endpoint, guests.of(Role.OPERATOR)) as link, progress_display(console, doing) as show:
             try:
                 ended = launcher.watch(link, show)
                 if launcher.sim.process.poll() is None:
@@ -86,7 +98,7 @@ def run_scenario(
                 status, problem = COULD_NOT_RUN, str(interrupted)
     finally:
         launcher.end_all()
-    return _conclude(console, folder, status, problem, picture=picture)
+    return status, problem
 
 
 def _check_recorder(view: bool) -> None:

@@ -10,7 +10,15 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from sim_server.scenario_events import Join, ScenarioEvent, check_events
 
@@ -113,6 +121,22 @@ class Leader(Section):
     """The leader looks and pulls once in this time."""
     stops: tuple[Stop, ...] = ()
     """Where the load is pulled before, in this order. The metrics know the goal alone."""
+    waypoints: tuple[Vector2, ...] = ()
+    """The same, but each until the load has come near, however long that takes; not together with stops."""
+    near_m: Positive = 0.15
+    """From where on a waypoint counts as reached, from the load's frame O, in the plane."""
+    by: Literal["law", "keyboard", "gamepad"] = "law"
+    """Who says where to pull: the law above, or a person at this device of the machine on which the run is started."""
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_used(self, whole: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As it was before there were waypoints and persons, where there are none: a scenario that has not changed
+        keeps its digest, by which reports know their runs."""
+        content: dict[str, Any] = whole(self)
+        unused = [] if self.waypoints else ["waypoints", "near_m"]
+        return {
+            key: value for key, value in content.items() if key not in (unused if self.by != "law" else [*unused, "by"])
+        }
 
 
 class Base(Section):
@@ -245,7 +269,7 @@ class Scenario(Section):
             )
         if self.load.shape == "block" and self.load.struts != 1:
             raise ValueError(f"load.struts: {self.load.struts}, but one hand holds a block: expected 1")
-        self._check_stops()
+        self._check_way()
         self._check_fixed()
         check_events(
             self.events,
@@ -257,7 +281,12 @@ class Scenario(Section):
         )
         return self
 
-    def _check_stops(self) -> None:
+    def _check_way(self) -> None:
+        leader = self.leader
+        if leader and leader.stops and leader.waypoints:
+            raise ValueError("leader.waypoints: beside leader.stops: expected one of the two, places or times")
+        if leader and leader.by != "law" and (leader.stops or leader.waypoints):
+            raise ValueError(f"leader.by: {leader.by!r}, but leader.stops or waypoints say where to: both would lead")
         before_s = 0.0
         for number, stop in enumerate(self.leader.stops if self.leader else ()):
             where = f"leader.stops.{number}.until_s"
@@ -277,7 +306,8 @@ class Scenario(Section):
                 )
             if event.kind in ("wheel_slip", "wheel_stuck", "floor_step"):
                 raise ValueError(f"events.{number}.kind: {event.kind!r}, but base.fixed = true: it does not drive")
-        places = [stop.goal_m for stop in self.leader.stops] + [self.leader.goal_m] if self.leader else []
+        leader = self.leader
+        places = [*(stop.goal_m for stop in leader.stops), *leader.waypoints, leader.goal_m] if leader else []
         farthest = max((math.hypot(*place) for place in places), default=0.0)
         if farthest > FIXED_REACH_M:
             raise ValueError(

@@ -208,6 +208,23 @@ BAD: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "leader.stops.0.until_s",
         ("20 s is not before the run's end at 20 s",),
     ),
+    "waypoint_is_no_number": (
+        extending("[leader]\nwaypoints = [[1.0, inf]]"),
+        "leader.waypoints.0.1",
+        ("finite", "inf"),
+    ),
+    "waypoints_and_stops": (
+        extending("[leader]\nwaypoints = [[1.0, 0.0]]\nstops = [{ goal_m = [1.0, 0.0], until_s = 5.0 }]"),
+        "leader.waypoints",
+        ("beside leader.stops", "one of the two"),
+    ),
+    "no_way_to_be_near": (extending("[leader]\nnear_m = 0.0"), "leader.near_m", ("greater than 0",)),
+    "nobody_leads": (extending("[leader]\nby = 'nobody'"), "leader.by", ("'keyboard'", "'nobody'")),
+    "a_person_and_a_way": (
+        extending("[leader]\nby = 'keyboard'\nwaypoints = [[1.0, 0.0]]"),
+        "leader.by",
+        ("'keyboard'", "both would lead"),
+    ),
     "bound_is_infinite": (extending("[expect]\ntilt_max_deg = { max = inf }"), "expect.tilt_max_deg.max", ("finite",)),
     "bound_without_bounds": (
         "description = 'x'\n[team]\ncount = 4\n[expect]\nyaw_max_deg = {}",
@@ -265,6 +282,11 @@ BAD: dict[str, tuple[str, str, tuple[str, ...]]] = {
         extending(
             "[base]\nfixed = true\n[leader]\ngoal_m = [0.1, 0.0]\nstops = [{ goal_m = [0.0, 0.3], until_s = 1.0 }]"
         ),
+        "leader.goal_m",
+        ("0.3 m from the start",),
+    ),
+    "fixed_base_and_a_waypoint_that_is_far": (
+        extending("[base]\nfixed = true\n[leader]\ngoal_m = [0.1, 0.0]\nwaypoints = [[0.0, 0.3]]"),
         "leader.goal_m",
         ("0.3 m from the start",),
     ),
