@@ -30,6 +30,7 @@ NAVIGATION: Entries = [
         "Tutorials",
         [
             ("Your own controller", "own-controller.md"),
+            ("Lead it yourself", "leading.md"),
             ("Your own load", "own-load.md"),
             ("Your own arm", "own-arm.md"),
             ("Several machines", "several-machines.md"),
