@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 import signal
-from contextlib import ExitStack
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import psutil
 import pytest
-from processes import PALANQUIN, free_port, read_events, read_json, settings, started, wait_until
+from processes import PALANQUIN, Started, free_port, read_events, read_json, settings, started, wait_until
 from terminals import Terminal, typed_into
 
 from sim_server.trace import read_trace
@@ -61,33 +64,60 @@ def test_a_launched_run_goes_where_the_keys_say_and_tells_that_a_person_led(tmp_
     assert "walls: " in walls
 
 
+@contextmanager
+def one_arm_waits(cwd: Path) -> Iterator[tuple[Started, list[str]]]:
+    """A simulator and a follower that wait for a leader by hand; and what every part is told."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    run = ["--run", "led", "--connect", endpoint]
+    place = ["--listen", endpoint, "--open", "--run", "led", "--out", str(cwd / "run")]
+    changes = settings({"duration_s": 600.0, "record.every_ticks": 1})
+    with (
+        started("sim", "transport-one", *place, *changes, cwd=cwd, name="sim") as sim,
+        started("follower", "--arm", "a1", *run, cwd=cwd, name="a1"),
+    ):
+        sim.wait_until(lambda: "waiting for" in sim.said(), "the simulator")
+        yield sim, run
+
+
+def ended_with(sim: Started, kind: str, cwd: Path) -> npt.NDArray[np.float64]:
+    """The leader has gone in this way; stop the run, and give all its pulls."""
+    sim.wait_until(lambda: kind in [each["kind"] for each in read_events(cwd / "run")], f"the leader to be {kind}")
+    sim.process.send_signal(signal.SIGINT)
+    assert sim.end() == 3
+    force: npt.NDArray[np.float64] = read_trace(cwd / "run" / "trace.parquet")["leader.force"]
+    np.testing.assert_array_equal(force[-1], 0.0)
+    return force
+
+
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL], ids=["told-to-end", "killed"])
 def test_a_leader_by_hand_within_walls_pulls_and_gives_its_terminal_back(end: signal.Signals, tmp_path: Path) -> None:
-    endpoint, folder = f"tcp/127.0.0.1:{free_port()}", tmp_path / "run"
-    run = ("--run", "led", "--connect", endpoint)
-    with ExitStack() as stack:
-        place = ("--listen", endpoint, "--open", "--run", "led", "--out", folder)
-        changes = settings({"duration_s": 600.0, "record.every_ticks": 1})
-        sim = stack.enter_context(started("sim", "transport-one", *place, *changes, cwd=tmp_path, name="sim"))
-        stack.enter_context(started("follower", "--arm", "a1", *run, cwd=tmp_path, name="a1"))
-        sim.wait_until(lambda: "waiting for" in sim.said(), "the simulator")
+    with one_arm_waits(tmp_path) as (sim, run):
         command = [str(PALANQUIN), "leader", "--keyboard", "--walls", "--force-max-N", "10", "--point", "centre", *run]
-        terminal, process = stack.enter_context(typed_into(command, tmp_path))
-        terminal.wait_for("joined, pulling centre as a person wants, 10 N at most")
-        terminal.type(b"x-s")
-        terminal.wait_for("pull 4 N ↓")
-        sim.wait_until(lambda: not terminal.is_as_before, "the terminal to give each key")
-        # The view after next was answered with this wish, and another one yet, as soon as these are shown.
-        terminal.type(b"a")
-        terminal.wait_for("pull 4 N ←")
-        process.send_signal(end)
-        process.wait(60)
-        wait_until(lambda: terminal.is_as_before, "the terminal to be as before", 20.0)
-        kind = "left" if end == signal.SIGTERM else "lost"
-        sim.wait_until(lambda: kind in [each["kind"] for each in read_events(folder)], f"the leader to be {kind}")
-        sim.process.send_signal(signal.SIGINT)
-        assert sim.end() == 3
-    force = read_trace(folder / "trace.parquet")["leader.force"]
+        with typed_into(command, tmp_path) as (terminal, process):
+            terminal.wait_for("joined, pulling centre as a person wants, 10 N at most")
+            terminal.type(b"x-s")
+            terminal.wait_for("pull 4 N ↓")
+            assert terminal.gives_each_key
+            terminal.type(b"a")
+            terminal.wait_for("pull 4 N ←")
+            process.send_signal(end)
+            process.wait(60)
+            wait_until(lambda: terminal.is_as_before, "the terminal to be as before", 20.0)
+        force = ended_with(sim, "left" if end == signal.SIGTERM else "lost", tmp_path)
     assert {tuple(np.round(each, 9)) for each in force} <= {(0.0, 0.0, 0.0), (-4.0, 0.0, 0.0), (0.0, 4.0, 0.0)}
-    assert np.linalg.norm(force, axis=1).max() == pytest.approx(4.0)
-    np.testing.assert_array_equal(force[-1], 0.0)
+
+
+def test_a_leader_takes_wishes_as_lines_and_leaves_when_there_are_no_more(tmp_path: Path) -> None:
+    with one_arm_waits(tmp_path) as (sim, run):
+        command = [str(PALANQUIN), "leader", "--wishes", *run]
+        with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+            assert process.stdin is not None
+            process.stdin.write(b"pull 0 -0.25\n")
+            process.stdin.flush()
+            sim.wait_until(lambda: "started" in [each["kind"] for each in read_events(tmp_path / "run")], "a tick")
+            said, _ = process.communicate(b"not a wish\npull 0 -0.5\n", timeout=60)
+        assert (process.returncode, said.splitlines()[-1]) == (0, b"leader: left")
+        force = ended_with(sim, "left", tmp_path)
+    # Of 10 N, which are all that the scenario allows, though this leader would pull by 40.
+    assert {tuple(np.round(each, 9)) for each in force} <= {(0.0, 0.0, 0.0), (0.0, -2.5, 0.0), (0.0, -5.0, 0.0)}
+    assert force[:, 1].min() <= -2.5 + 1e-9
