@@ -25,6 +25,7 @@ from deploy.paper.commands import paper, verify
 from deploy.see.commands import plot, render
 from deploy.see.commands import record as record_run
 from deploy.see.commands import view as view_run
+from deploy.see.commands import watch as watch_run
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -260,6 +261,7 @@ app.command()(router)
 app.command()(paper)
 app.command()(verify)
 app.command(name="view")(view_run)
+app.command(name="watch")(watch_run)
 app.command(name="record")(record_run)
 app.command()(render)
 app.command()(plot)
