@@ -79,12 +79,16 @@ def run(
     record: Annotated[bool, typer.Option("--record", help="Record run.rrd for the Rerun viewer.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the run in the viewer while it goes on.")] = False,
     viewer: Annotated[str | None, typer.Option(metavar="URL", help="Show it in a viewer that is there.")] = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Show it in this terminal while it goes on.")] = False,
     set_: Settings = None,
 ) -> None:
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from deploy.running import run_scenario
 
-    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer))
+    status = run_scenario(
+        scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer, watch=watch
+    )
+    raise typer.Exit(status)
 
 
 @app.command()
