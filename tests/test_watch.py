@@ -21,7 +21,7 @@ from watched import event, progress, row, tilted
 from deploy.see.watch.arrangement import dashboard
 from deploy.see.watch.canvas import ASCII, FANCY, Canvas, Glyphs
 from deploy.see.watch.panels import arms_table, bar, event_list, head, number, steps, tilt_gauge
-from deploy.see.watch.rows import UnreadableRow, joints_of, read_row, share_percent
+from deploy.see.watch.rows import UnreadableRow, joints_of, read_row, read_ways, share_percent
 from deploy.see.watch.screens import glyphs_for
 from deploy.see.watch.seen import MOST_PLACES, Seen, look
 from deploy.see.watch.top_view import Told, Window, top_view, window_of
@@ -68,13 +68,16 @@ def test_a_row_that_the_simulator_tells_is_read_as_its_trace_has_it() -> None:
     for k, told in enumerate(heard):
         load, arms = read_row(told)
         np.testing.assert_array_equal(load.p_WO, trace["load.position"][k])
-        assert load.tilt_deg == tilt_deg(trace["load.quat_wxyz"])[k]
+        np.testing.assert_array_equal(load.tilt_deg, tilt_deg(trace["load.quat_wxyz"][k : k + 1])[0])
         assert list(arms) == list(plant.world.arms)
         for name, arm in arms.items():
             np.testing.assert_array_equal((arm.x_m, arm.y_m, arm.yaw_rad), trace[f"{name}.base"][k])
             assert arm.up_N == trace[f"{name}.grip"][k, 2]
             assert arm.age_ticks == trace[f"{name}.age_ticks"][k]
     assert len(heard) == len(rows) == 20
+    p_WO, tilts_deg = read_ways(heard)
+    np.testing.assert_array_equal(p_WO, trace["load.position"])
+    np.testing.assert_array_equal(tilts_deg, tilt_deg(trace["load.quat_wxyz"]))
 
 
 @given(arms=st.integers(1, 16), joints=st.integers(1, 16))
@@ -200,6 +203,7 @@ def test_how_it_ended_is_said_in_a_sentence_and_by_the_exit_status() -> None:
         assert exit_status(judged, stopped=True) == status
         assert plain(head(judged, 80, ASCII))[0].startswith(f"palanquin demo   {verdict}: reached its duration")
     assert exit_status(carried(), stopped=True) == 0
+    assert last_sentence(Seen("demo"), stopped=True) == "stopped before anything was heard of the run"
     assert last_sentence(carried(), stopped=True) == "stopped watching at 0.20 s; the run goes on"
 
 

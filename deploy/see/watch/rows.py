@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,8 @@ Array = NDArray[np.float64]
 
 NUMBER = 8
 """Bytes of a number."""
+WAY_WIDTH = 7
+"""Numbers that a row begins with: the load's position and its orientation, w first."""
 
 
 class UnreadableRow(SimError):
@@ -100,16 +104,37 @@ def joints_of(row: Row) -> int:
     Raises:
         UnreadableRow: no whole number of them.
     """
-    arms = row.arms.split()
-    least, more = (sum(columns(arms, joints).values()) - 2 for joints in (1, 2))
-    extra = len(row.values) - NUMBER * least
-    each = NUMBER * (more - least)
-    if extra < 0 or (extra % each if each else extra):
+    arms = len(row.arms.split())
+    joints = _joints(arms, len(row.values))
+    if joints is None:
         raise UnreadableRow(
-            f"row of tick {row.tick}: got {len(row.values)} bytes of {len(arms)} arms, expected {NUMBER * least} and "
-            f"{each} for every joint after the first: install the same release as the simulator's"
+            f"row of tick {row.tick}: got {len(row.values)} bytes of {arms} arms, expected a whole number of joints: "
+            "install the same release as the simulator's"
         )
-    return 1 + (extra // each if each else 0)
+    return joints
+
+
+@lru_cache
+def _joints(arms: int, size_bytes: int) -> int | None:
+    names = [str(k) for k in range(arms)]
+    least, more = (NUMBER * (sum(columns(names, joints).values()) - 2) for joints in (1, 2))
+    if not arms:
+        return 1 if size_bytes == least else None
+    extra, rest = divmod(size_bytes - least, more - least)
+    return None if extra < 0 or rest else 1 + extra
+
+
+def is_readable(row: Row) -> bool:
+    """Whether its length fits its arms."""
+    return _joints(len(row.arms.split()), len(row.values)) is not None
+
+
+def read_ways(rows: Sequence[Row]) -> tuple[Array, Array]:
+    """Where the load was in readable rows, (rows, 3) m in the world, and its tilt, (rows,) deg. That is all that is
+    looked at in every row."""
+    together = b"".join(row.values[: NUMBER * WAY_WIDTH] for row in rows)
+    values = np.frombuffer(together, "<f8").reshape(len(rows), WAY_WIDTH)
+    return values[:, :3], tilt_deg(values[:, 3:])
 
 
 def share_percent(arms: dict[str, Arm]) -> dict[str, float]:

@@ -7,8 +7,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from deploy.see.happenings import Happening, happening
-from deploy.see.watch.rows import Arm, Load, UnreadableRow, read_row
+from deploy.see.watch.rows import Arm, Load, is_readable, read_row, read_ways
 from wire.messages import Event, Progress, Row
 
 LEADER = "leader"
@@ -95,36 +97,28 @@ def look(
 
 
 def _with_rows(seen: Seen, rows: Sequence[Row]) -> Seen:
-    loads: list[Load] = []
-    arms = seen.arms
-    refused = seen.refused
-    for row in rows:
-        try:
-            load, arms = read_row(row)
-        except UnreadableRow:
-            refused += 1
-        else:
-            loads.append(load)
-    if not loads:
-        return replace(seen, refused=refused)
-    tilts = [load.tilt_deg for load in loads if math.isfinite(load.tilt_deg)]
-    most = max(tilts, default=math.nan)
+    readable = [row for row in rows if is_readable(row)]
+    seen = replace(seen, refused=seen.refused + len(rows) - len(readable))
+    if not readable:
+        return seen
+    p_WO, tilts_deg = read_ways(readable)
+    known = tilts_deg[np.isfinite(tilts_deg)]
+    most = float(known.max()) if known.size else math.nan
+    load, arms = read_row(readable[-1])
     return replace(
         seen,
-        load=loads[-1],
-        start=seen.start or loads[0],
+        load=load,
+        start=seen.start or read_row(readable[0])[0],
         arms=arms,
         tilts_deg=(*seen.tilts_deg, most)[-MOST_TILTS:],
         tilt_max_deg=max((x for x in (seen.tilt_max_deg, most) if math.isfinite(x)), default=math.nan),
-        path_m=_path(seen.path_m, loads),
-        refused=refused,
+        path_m=_path(seen.path_m, p_WO[:, :2].tolist()),
     )
 
 
-def _path(path: tuple[tuple[float, float], ...], loads: Sequence[Load]) -> tuple[tuple[float, float], ...]:
+def _path(path: tuple[tuple[float, float], ...], way: Iterable[Sequence[float]]) -> tuple[tuple[float, float], ...]:
     places = list(path)
-    for load in loads:
-        x, y, _ = load.p_WO
+    for x, y in way:
         if math.isfinite(x + y) and (not places or math.dist((x, y), places[-1]) >= PLACE_M):
             places.append((x, y))
     while len(places) > MOST_PLACES:  # a long way is kept whole, more and more coarsely

@@ -82,7 +82,9 @@ def last_sentence(seen: Seen, *, stopped: bool) -> str:
     """How it ended."""
     if seen.ended is not None:
         return f"{seen.verdict or 'ended, and no verdict was told'}: {printable(seen.ended)}"
-    return f"stopped watching at {seen.time_s:.2f} s; the run goes on" if stopped else ""
+    if not stopped or seen.phase == "unheard":
+        return "stopped before anything was heard of the run" if stopped else ""
+    return f"stopped watching at {seen.time_s:.2f} s; the run goes on"
 
 
 def exit_status(seen: Seen, *, stopped: bool) -> int:
