@@ -144,6 +144,14 @@ def test_ctrl_c_at_the_terminal_of_a_watched_run_ends_the_run_and_leaves_the_ter
     assert "Traceback" not in seen.text()
 
 
+def test_when_a_watched_run_is_killed_its_dashboard_leaves_the_terminal_in_order(tmp_path: Path) -> None:
+    settings = ("--no-picture", "--set", "duration_s=600.0")
+    with terminal("run", "hold", "--out", "run", "--watch", *settings, cwd=tmp_path) as seen:
+        seen.wait_for(r"tick [1-9]\d* of")
+        seen.process.kill()
+        wait_until(lambda: CURSOR in seen.written().rpartition(FIRST_SCREEN)[0][-20:], "the first screen")
+
+
 @contextmanager
 def simulator() -> Iterator[tuple[Link, str]]:
     """A link that shows a simulator's sign of life, open to all, and its address."""
