@@ -25,6 +25,7 @@ from deploy.paper.commands import paper, verify
 from deploy.see.commands import plot, render
 from deploy.see.commands import record as record_run
 from deploy.see.commands import view as view_run
+from deploy.see.commands import watch as watch_run
 from deploy.settings import scenario_changes, tables
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -78,12 +79,16 @@ def run(
     record: Annotated[bool, typer.Option("--record", help="Record run.rrd for the Rerun viewer.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the run in the viewer while it goes on.")] = False,
     viewer: Annotated[str | None, typer.Option(metavar="URL", help="Show it in a viewer that is there.")] = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Show it in this terminal while it goes on.")] = False,
     set_: Settings = None,
 ) -> None:
     """Run a scenario: simulator, followers and leader as processes of this machine."""
     from deploy.running import run_scenario
 
-    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer))
+    status = run_scenario(
+        scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer, watch=watch
+    )
+    raise typer.Exit(status)
 
 
 @app.command()
@@ -260,6 +265,7 @@ app.command()(router)
 app.command()(paper)
 app.command()(verify)
 app.command(name="view")(view_run)
+app.command(name="watch")(watch_run)
 app.command(name="record")(record_run)
 app.command()(render)
 app.command()(plot)
