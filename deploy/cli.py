@@ -40,6 +40,7 @@ from deploy.paper.commands import paper, verify
 from deploy.see.commands import plot, render
 from deploy.see.commands import record as record_run
 from deploy.see.commands import view as view_run
+from deploy.see.commands import watch as watch_run
 from deploy.settings import scenario_changes, tables
 
 
@@ -84,6 +85,7 @@ def run(
     record: Annotated[bool, typer.Option("--record", help="Record run.rrd for the Rerun viewer.")] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the run in the viewer while it goes on.")] = False,
     viewer: Annotated[str | None, typer.Option(metavar="URL", help="Show it in a viewer that is there.")] = None,
+    watch: Annotated[bool, typer.Option("--watch", help="Show it in this terminal while it goes on.")] = False,
     leader: Annotated[
         LedBy | None, typer.Option("--leader", help="Who leads: the scenario's law, or a person at this machine.")
     ] = None,
@@ -94,7 +96,10 @@ def run(
 
     if leader is not None:
         set_ = [*(set_ or []), f'leader.by="{leader}"']
-    raise typer.Exit(run_scenario(scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer))
+    status = run_scenario(
+        scenario, out, seed, set_, picture=picture, record=record, view=view, viewer=viewer, watch=watch
+    )
+    raise typer.Exit(status)
 
 
 @app.command()
@@ -231,6 +236,7 @@ app.command()(router)
 app.command()(paper)
 app.command()(verify)
 app.command(name="view")(view_run)
+app.command(name="watch")(watch_run)
 app.command(name="record")(record_run)
 app.command()(render)
 app.command()(plot)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -14,20 +12,10 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from deploy.exit_status import COULD_NOT_RUN
 from deploy.launcher import Show
+from deploy.patient_console import PatientConsole as PatientConsole
 from sim_server.verdict import Judged
 from wire.messages import Progress
-
-
-class PatientConsole(Console):
-    """A console whose reader may go away (``| head``): the run ends, and not with the status of a verdict."""
-
-    def on_broken_pipe(self) -> None:
-        self.quiet = True
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(COULD_NOT_RUN)
-
 
 NOT_SHOWN = ("verdict", "why_unknown", "tick_parts_us", "tick_late_histogram_us")
 """Too long for a line of the table, or below it."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
 from rich.console import Console
@@ -13,21 +14,25 @@ from rich.console import Console
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
 from agents.errors import GainError
-from deploy.exit_status import COULD_NOT_RUN, fail
+from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, fail
 from deploy.guard import Interrupted
-from deploy.launcher import Launcher, everybody
+from deploy.launcher import Launcher, Show, everybody
 from deploy.person.launched import led
 from deploy.person.wishes import Wishes
 from deploy.report import PatientConsole, print_metrics, progress_display
 from deploy.see.viewing import RECORDING, viewer_command
+from deploy.see.watch.beside import dashboard_beside
+from deploy.see.watch.screens import why_plain
 from deploy.settings import scenario_changes
 from sim_server.errors import ScenarioError
-from sim_server.run_folder import METRICS, compute_metrics
+from sim_server.run_folder import LOGS, METRICS, compute_metrics
 from sim_server.scenario_files import NamedScenario, load_scenario
 from sim_server.server import check_world, default_folder
 from wire.access import Role
 from wire.credentials import Guests, for_one_run
 from wire.zenoh_link import free_endpoint, open_client
+
+RUN_NAME = "carry"
 
 
 def run_scenario(
@@ -40,6 +45,7 @@ def run_scenario(
     record: bool = False,
     view: bool = False,
     viewer: str | None = None,
+    watch: bool = False,
 ) -> int:
     """Launch it, show its progress, print what it left; the exit status.
 
@@ -52,7 +58,11 @@ def run_scenario(
         record: have an observer record it into its folder.
         view: have it shown in a viewer.
         viewer: have it shown in the one at this address.
+        watch: have it shown in this terminal, in place of the bar.
     """
+    console = PatientConsole()
+    if watch and (lack := why_plain(console)):
+        fail(f"--watch: {lack}, expected a terminal for the dashboard: leave --watch out", BAD_INPUT)
     arguments = ["--seed", str(seed)] if seed is not None else []
     for setting in settings or []:
         arguments += ["--set", setting]
@@ -64,41 +74,47 @@ def run_scenario(
     if record or view or viewer:
         _check_recorder(view)
     folder = (out or default_folder(Path("runs"), named.name)).absolute()
-    console = PatientConsole()
     endpoint = free_endpoint()
     # The run's name is told to the followers; a scenario's name may say what no follower may know.
     guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR, Role.OBSERVER])
     recorder = [*(["--save", str(folder / RECORDING)] if record else []), *(["--view"] if view else [])]
     recorder += ["--viewer", viewer] if viewer else []
     wishes = Wishes()
-    launcher = Launcher(arguments, named.scenario, "carry", endpoint, folder, guests, recorder, wishes)
-    with led(named.scenario, wishes.tell, console) as doing:
-        status, problem = _carry(launcher, endpoint, guests, console, doing)
+    launcher = Launcher(arguments, named.scenario, RUN_NAME, endpoint, folder, guests, recorder, wishes)
+    log = folder / LOGS / "watch.log"
+    with (
+        led(named.scenario, wishes.tell, console) as doing,
+        dashboard_beside(endpoint, RUN_NAME, guests, named, arguments, log) if watch else nullcontext(),
+    ):
+        display = _no_display() if watch else progress_display(console, doing)
+        try:
+            status, problem = _carry(launcher, endpoint, guests, display)
+        finally:
+            launcher.end_all()
     return _conclude(console, folder, status, problem, picture=picture)
 
 
-def _carry(
-    launcher: Launcher, endpoint: str, guests: Guests, console: Console, doing: Callable[[], str]
-) -> tuple[int, str]:
-    """Launch it and show its progress until all processes have ended; the exit status, and what went wrong."""
-    problem = ""
-    try:
-        launcher.start()
-        if launcher.sim.process.poll() is not None:
-            fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
-        with open_client(endpoint, guests.of(Role.OPERATOR)) as link, progress_display(console, doing) as show:
-            try:
-                ended = launcher.watch(link, show)
-                if launcher.sim.process.poll() is None:
-                    launcher.order_stop(link)
-                status, problem = ended.status, ended.problem or launcher.wait_for_recorder()
-            except Interrupted as interrupted:
+def _carry(launcher: Launcher, endpoint: str, guests: Guests, display: AbstractContextManager[Show]) -> tuple[int, str]:
+    """Start everybody and watch them to the end; the exit status, and what went wrong, if anything did."""
+    launcher.start()
+    if launcher.sim.process.poll() is not None:
+        fail(f"the simulator ended at its start: {launcher.sim.last_words()}", launcher.sim.process.returncode)
+    with open_client(endpoint, guests.of(Role.OPERATOR)) as link, display as show:
+        try:
+            ended = launcher.watch(link, show)
+            if launcher.sim.process.poll() is None:
                 launcher.order_stop(link)
-                launcher.wait_for_recorder()
-                status, problem = COULD_NOT_RUN, str(interrupted)
-    finally:
-        launcher.end_all()
-    return status, problem
+            return ended.status, ended.problem or launcher.wait_for_recorder()
+        except Interrupted as interrupted:
+            launcher.order_stop(link)
+            launcher.wait_for_recorder()
+            return COULD_NOT_RUN, str(interrupted)
+
+
+@contextmanager
+def _no_display() -> Iterator[Show]:
+    """Where a dashboard has the terminal."""
+    yield lambda _: None
 
 
 def _check_recorder(view: bool) -> None:

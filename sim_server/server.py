@@ -316,6 +316,7 @@ class Server:
             metrics, _ = compute_metrics(folder)
             write_json(folder / METRICS, metrics)
             verdict = metrics["verdict"]
+        self._truth.event(self._plant.tick, self._plant.time_s, "judged", {"verdict": verdict, "why": why})
         self._truth.close()
         # All else is on the disk, and the agents wait for the next tick or the end: nobody comes, goes or declares, if
         # all behave. If one does not, and the look hangs, this file alone says less.

@@ -3,14 +3,7 @@
 A Parquet file is worth nothing before its end is written, and a simulator that is killed writes no end. So the rows go
 to ``trace.parts/0001.rows`` first (sim_server/trace_rows.py), and a new file begins whenever other arms take part.
 
-Columns: ``tick``, ``time_s``, ``load.position`` (3), ``load.quat_wxyz`` (4), ``load.linear_velocity`` (3),
-``load.angular_velocity`` (3), ``leader.force`` (3), ``load.disturbance`` (6: force and torque about the centre of mass,
-world), and for every arm ``a1.q`` (n), ``a1.qd`` (n), ``a1.tau`` (n, applied), ``a1.wrench`` (6), ``a1.stiffness`` (n)
-and ``a1.passivity_residual`` (W), both as its agent reports them, ``a1.base`` (3: x, y, yaw in the world),
-``a1.base_velocity`` (3), ``a1.base_force`` (3, applied, frame B), ``a1.grip`` (6: what the hand exerts on the load at
-the grasp, world), ``a1.disturbance`` (6: force and torque on the hand at the tool centre, world) and ``a1.age_ticks``.
-Where an arm took no part its numbers are NaN and its age is null. A disturbance is what comes from outside (a push) or
-from a grasp that fails, as it was applied in the tick's last physics step; the leader's pull is none.
+What the columns are: sim_server/trace_columns.py.
 """
 
 from __future__ import annotations
@@ -27,41 +20,12 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sim_server.disk import Disk, Do, at_once
+from sim_server.trace_columns import columns as columns
 from sim_server.trace_rows import RowFile, Segment
 
 Array = NDArray[np.float64]
 
 BLOCK_ROWS = 1000
-
-
-def columns(arms: Iterable[str], joints: int) -> dict[str, int]:
-    """Name and width of every column, in order."""
-    named = {
-        "tick": 1,
-        "time_s": 1,
-        "load.position": 3,
-        "load.quat_wxyz": 4,
-        "load.linear_velocity": 3,
-        "load.angular_velocity": 3,
-        "leader.force": 3,
-        "load.disturbance": 6,
-    }
-    for arm in arms:
-        named |= {
-            f"{arm}.q": joints,
-            f"{arm}.qd": joints,
-            f"{arm}.tau": joints,
-            f"{arm}.wrench": 6,
-            f"{arm}.stiffness": joints,
-            f"{arm}.passivity_residual": 1,
-            f"{arm}.base": 3,
-            f"{arm}.base_velocity": 3,
-            f"{arm}.base_force": 3,
-            f"{arm}.grip": 6,
-            f"{arm}.disturbance": 6,
-            f"{arm}.age_ticks": 1,
-        }
-    return named
 
 
 class TraceWriter:

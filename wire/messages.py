@@ -190,7 +190,7 @@ class Row(Struct, frozen=True, gc=False):
 
 
 class Event(Struct, frozen=True, gc=False):
-    """A line of events.jsonl, for observers."""
+    """A line of events.jsonl, for observers; and one more, ``judged``, that says the verdict."""
 
     tick: int
     time_s: float

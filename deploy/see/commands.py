@@ -1,4 +1,4 @@
-"""``palanquin view``, ``render``, ``plot``: what can be seen of runs that have ended."""
+"""``palanquin view``, ``watch``, ``record``, ``render``, ``plot``: what can be seen of runs."""
 
 from __future__ import annotations
 
@@ -68,6 +68,57 @@ def record(
     if done.viewer_hangs:
         print("palanquin: the viewer did not take all of it: it is gone, or hangs", file=sys.stderr, flush=True)
         os._exit(COULD_NOT_RUN)
+
+
+def watch(
+    run: Annotated[str, typer.Option("--run", help="Name of the run.")],
+    scenario: Annotated[
+        str | None, typer.Argument(help="What the simulator was started with; the view from above needs it.")
+    ] = None,
+    connect: Annotated[str, typer.Option("--connect", help="Address of the simulator.")] = "tcp/127.0.0.1:7447",
+    credential: Annotated[
+        str | None, typer.Option("--credential", metavar="DIR", help="The observer's; - reads a line of stdin.")
+    ] = None,
+    wait_s: Annotated[float, typer.Option("--wait-s", min=0.0, help="Wait so long for the simulator.")] = 10.0,
+    reconnect_s: Annotated[
+        float, typer.Option("--reconnect-s", min=0.0, help="Wait so long for a simulator that is gone.")
+    ] = 10.0,
+    plain: Annotated[bool, typer.Option("--plain", help="Lines instead of a picture.")] = False,
+    ascii_: Annotated[bool, typer.Option("--ascii", help="No braille, no blocks.")] = False,
+    seed: Annotated[int | None, typer.Option(help="As the simulator was told.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Likewise.")] = None,
+    with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
+) -> None:
+    """Watch a run in the terminal while it goes on: an observer of its own, which the simulator does not wait for."""
+    from deploy.guard import end_with_parent, stop_on_signals
+    from deploy.links import own_credential
+    from deploy.patient_console import PatientConsole
+    from deploy.see.watch.watcher import Watcher
+    from deploy.see.watch.watching import told_by, watch_run
+    from deploy.settings import scenario_changes
+    from sim_server.scenario_files import load_scenario
+    from wire.keys import Keys
+    from wire.zenoh_link import open_client
+
+    Keys(run)
+    named = None if scenario is None else load_scenario(scenario, scenario_changes(seed, set_))
+    own = own_credential(credential, "observer")
+    with open_client(connect, own, timeout_s=wait_s) as link:
+        watcher = Watcher(link, run)
+        stop_on_signals(watcher.stop)
+        if with_parent:
+            end_with_parent(watcher.stop, even_if_stopped=False)
+        watcher.wait_for_simulator(wait_s)
+        status = watch_run(
+            watcher,
+            PatientConsole(),
+            told_by(None if named is None else named.scenario),
+            reconnect_s=reconnect_s,
+            plain=plain,
+            ascii_only=ascii_,
+            says_farewell=not with_parent,
+        )
+    raise typer.Exit(status)
 
 
 def render(

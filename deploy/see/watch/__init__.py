@@ -1,0 +1,1 @@
+"""``palanquin watch``: a run in a terminal, while it goes on."""
