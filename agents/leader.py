@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agents.errors import AgentError
 from agents.session import AgentSession, RunEnded, SimulatorGone, here
+from wire.errors import Reason, Refused
 from wire.keys import Keys
 from wire.link import Link
 from wire.messages import Hello, LeaderForce, LeaderView, Welcome
@@ -156,7 +157,7 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
         welcome = session.join(settings.join_timeout_s, settings.wait_s)
         while True:
             try:
-                _lead(session, settings, welcome)
+                lead(session, settings, welcome)
             except SimulatorGone:
                 if not settings.reconnect_s:
                     raise
@@ -167,10 +168,12 @@ def run_leader(link: Link, settings: LeaderSettings) -> str:
         if session.lease:
             session.leave()
         return "interrupted"
+    finally:
+        session.tell_refused()
 
 
-def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> NoReturn:
-    """Pull at every view."""
+def lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> NoReturn:
+    """Pull at every view that is newer than all before. Raises as :func:`run_leader`."""
     if settings.point not in welcome.points:
         session.leave()
         raise AgentError(
@@ -181,7 +184,13 @@ def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> 
     on_the_way = "".join(f" {stop.goal_m} until {stop.until_s:g} s, then" for stop in settings.stops)
     log.info("leader: joined, pulling %s towards%s %s", settings.point, on_the_way, settings.goal_m)
 
+    newest = -1
+
     def answer(view: LeaderView) -> LeaderForce:
+        nonlocal newest
+        if view.tick <= newest:
+            raise Refused(Reason.STALE, "tick", view.tick, f"more than {newest}")
+        newest = view.tick
         force = pull(view, point_O, settings)
         return LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist()))
 
@@ -191,4 +200,7 @@ def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome) -> 
             continue
         view = session.receive_newest(1.0)
         if isinstance(view, LeaderView):
-            session.send(answer(view))
+            try:
+                session.send(answer(view))
+            except Refused as refusal:
+                session.refuse(refusal)
