@@ -51,7 +51,7 @@ def storm(
 
     carry = carry_of(scenario, arms, preset)
     events = draw_storm(carry, seed, faults, _rows(only) if only else None)
-    folder = _new_folder(out, f"storm-{seed}")
+    folder = new_folder(out, f"storm-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / STORM
     file.write_text(
@@ -74,7 +74,7 @@ def run_(
     out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
 ) -> None:
     """Run a scenario and hold the invariants against it, in place of the scenario's own `[expect]`."""
-    judgement = _run_and_print(_console(), scenario, _new_folder(out, Path(scenario).stem))
+    judgement = _run_and_print(_console(), scenario, new_folder(out, Path(scenario).stem))
     raise typer.Exit(OF_VERDICT[judgement.verdict])
 
 
@@ -214,7 +214,7 @@ def _rows(names: list[str] | None) -> tuple[Fault, ...]:
         raise typer.BadParameter(f"--only: {error}") from None
 
 
-def _new_folder(out: Path | None, name: str) -> Path:
+def new_folder(out: Path | None, name: str) -> Path:
     """The folder that was asked for, or a dated one. Raises RunFolderError if there is something in it."""
     from sim_server.run_folder import RunFolderError
     from sim_server.server import default_folder
