@@ -115,7 +115,7 @@ def check_events(
             slipped.add(event.arm)
             continue
         if isinstance(event, Lasting):
-            _check_lasting(event, where, there, end_s)
+            _check_lasting(event, where, list(process) if isinstance(event, MessageEvent) else there, end_s)
             continue
         if event.agent not in process:
             raise ValueError(f"{where}.agent: no agent {event.agent!r}; expected one of {', '.join(process)}")

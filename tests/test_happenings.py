@@ -21,6 +21,7 @@ from sim_server.grasping import Closing
 from sim_server.happenings import Arrivals, Happenings
 from sim_server.newcomers import CannotCome
 from sim_server.process_deeds import Undone
+from sim_server.reception import LEADER
 from sim_server.scenario_events import AnyEvent, Join, check_events
 from sim_server.scenario_files import load_scenario
 from sim_server.snapshot import pack, unpack
@@ -261,9 +262,11 @@ class Stage:
         waits: bool = True,
         ticks: int = 10**6,
         timeout_s: float = TIMEOUT_S,
+        leader: bool = False,
     ) -> None:
-        self.bench = Bench(timeout_s=timeout_s)
-        self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in ("a1", "a2")}
+        self.bench = Bench(timeout_s=timeout_s, leader=leader)
+        names = ("a1", "a2", LEADER) if leader else ("a1", "a2")
+        self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in names}
         self.hands = NoHands()
         keys = Keys(RUN)
         self.deeds: list[Deed] = []

@@ -93,9 +93,21 @@ PUSH_S = Span(0.3, 2.0)
 LOAD = {"point": "centre_of_mass"}
 
 
+MESSAGES_S = Span(0.5, 3.0)
+DIRECTIONS = {"direction": ("to", "from")}
+
+
 def _message(kind: str, **ranges: Any) -> Fault:
     """A fault of one arm's messages, its states or its commands."""
-    return Fault(kind, kind, "arm", for_s=Span(0.5, 3.0), choices={"direction": ("to", "from")}, **ranges)
+    return Fault(kind, kind, "arm", for_s=MESSAGES_S, choices=DIRECTIONS, **ranges)
+
+
+def _leader_message(kind: str, **ranges: Any) -> Fault:
+    """A fault of the leader's messages, its views or its pulls. Storms are drawn without: they stay what they were."""
+    leader = {"arm": "leader"}
+    return Fault(
+        f"leader-{kind}", kind, "load", for_s=MESSAGES_S, choices=DIRECTIONS, fixed=leader, alone=True, **ranges
+    )
 
 
 def _body(name: str, kind: str, **ranges: Any) -> Fault:
@@ -150,6 +162,10 @@ ROWS: tuple[Fault, ...] = (
     _message("bit_flip", strengths=OFTEN, counts={"bits": (1, 4)}),
     _message("nan", strengths=OFTEN),
     _message("wrong_arm", strengths=OFTEN, another_arm="name"),
+    _leader_message("delay", strengths=OFTEN, counts={"delay_ticks": (1, 30)}),
+    _leader_message("loss", strengths=OFTEN),
+    _leader_message("bit_flip", strengths=OFTEN, counts={"bits": (1, 4)}),
+    _leader_message("nan", strengths=OFTEN),
     _body("joint_stuck", "joint_stuck", counts=ANY_JOINT),
     _body("torque_loss", "torque_loss", counts=ANY_JOINT, strengths={"factor": Span(0.0, 0.8)}),
     _body("torque_saturation", "torque_saturation", counts=ANY_JOINT, strengths={"limit_Nm": Span(2.0, 20.0)}),
