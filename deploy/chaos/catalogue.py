@@ -140,6 +140,9 @@ ROWS: tuple[Fault, ...] = (
     # Nobody may be stopped or leaving then, and what the dead simulator's connections carried is not known: the audit
     # of such a run is unknown.
     Fault("sim_kill", "sim_kill", "load", alone=True),
+    # Wall time of Zenoh's own reconnecting; storms are drawn without: they stay what they were.
+    Fault("disconnect", "disconnect", "agent", ends=True, alone=True),
+    Fault("disconnect-reconnect", "disconnect", "agent", then=("reconnect", Span(0.3, 2.0)), ends=True, alone=True),
     Fault("leader-kill", "kill", "leader", ends=True),
     Fault("leader-kill-start", "kill", "leader", then=("start", Span(0.3, 2.0)), ends=True),
     Fault("leader-stop", "stop", "leader", ends=True),
@@ -186,7 +189,7 @@ WEAK_ENDS: Mapping[str, float] = {"factor": 1.0, "limit_Nm": 87.0, "share_percen
 """Where a strength does nothing any more, if that is not at zero: all of a torque or of the time, the largest of
 an arm's limits."""
 
-NOT_DRAWN = ("start", "continue", "join", "bump")
+NOT_DRAWN = ("start", "continue", "reconnect", "join", "bump")
 """Kinds that undo a fault, that need a world of their own, or that are another word for a kind above."""
 
 

@@ -94,7 +94,7 @@ def deeds(
     ] = None,
     wait_s: Annotated[float, typer.Option("--wait-s", min=0.0, help="Wait so long for the simulator.")] = 60.0,
 ) -> None:
-    """Do to containers what the scenario of a run wants done to processes: kill, stop, continue, start, leave.
+    """Do to containers what the scenario of a run wants done to processes.
 
     Ends with the simulator: status 0, or 3 if a deed could not be done.
     """
