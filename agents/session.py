@@ -270,10 +270,13 @@ class AgentSession:
         return None
 
     def receive_newest(self, timeout_s: float) -> State | LeaderView | None:
-        """As :meth:`receive`, but of those that have piled up only the last: in real time the others are history."""
+        """As :meth:`receive`, but of those that have piled up only that of the newest tick: in real time the others are
+        history."""
         message = self.receive(timeout_s)
         while not self._inbox.empty():
-            message = self.receive(0.0) or message
+            other = self.receive(0.0)
+            if other is not None and (message is None or other.tick >= message.tick):
+                message = other
         return message
 
     def refuse(self, refusal: Refused) -> None:

@@ -77,7 +77,7 @@ def joined(simulator: PlayedSimulator) -> AgentSession:
 def test_of_states_that_have_piled_up_only_the_newest_counts_in_real_time() -> None:
     simulator = PlayedSimulator("real-time")
     session = joined(simulator)
-    for tick in (4, 5, 6):
+    for tick in (4, 6, 5):  # one was overtaken
         simulator.state.put(state(tick))
     simulator.state.put(b"\xc1 garbage")
     newest = session.receive_newest(0.0)
