@@ -159,7 +159,7 @@ def run_follower(link: Link, settings: FollowerSettings, departure: Departure | 
         welcome = session.join(settings.join_timeout_s)
         while True:
             try:
-                _carry(session, follower, welcome, departure)
+                carry(session, follower, welcome, departure)
                 session.leave()
                 return "left in order"
             except SimulatorGone:
@@ -173,10 +173,12 @@ def run_follower(link: Link, settings: FollowerSettings, departure: Departure | 
         if session.lease:
             session.leave()
         return "interrupted"
+    finally:
+        session.tell_refused()
 
 
-def _carry(session: AgentSession, follower: Follower, welcome: Welcome, departure: Departure) -> None:
-    """Answer every state until the follower has left all that it carried."""
+def carry(session: AgentSession, follower: Follower, welcome: Welcome, departure: Departure) -> None:
+    """Answer every state until the follower has left all that it carried. Raises as :func:`run_follower`."""
     log.info("arm %s: joined, %s clock, period %d ns", follower.settings.arm, welcome.clock, welcome.control_period_ns)
     follower.begin(welcome)
     period_s = 1e-9 * welcome.control_period_ns

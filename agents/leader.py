@@ -16,6 +16,7 @@ from agents.pulling import Array, bounded_pull, rotate, wished_pull
 from agents.session import AgentSession, RunEnded, SimulatorGone, here
 from agents.waypoints import NEAR_M, Place, Waypoints
 from agents.wish import Wish
+from wire.errors import Reason, Refused
 from wire.keys import Keys
 from wire.link import Link
 from wire.messages import Hello, LeaderForce, LeaderView, Welcome
@@ -184,7 +185,7 @@ def run_leader(link: Link, settings: LeaderSettings, person: Person | None = Non
         welcome = session.join(settings.join_timeout_s, settings.wait_s)
         while True:
             try:
-                _lead(session, settings, welcome, aims)
+                lead(session, settings, welcome, aims)
             except SimulatorGone:
                 if not settings.reconnect_s:
                     raise
@@ -195,10 +196,12 @@ def run_leader(link: Link, settings: LeaderSettings, person: Person | None = Non
         if session.lease:
             session.leave()
         return "interrupted"
+    finally:
+        session.tell_refused()
 
 
-def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome, aims: Aims) -> NoReturn:
-    """Pull at every view."""
+def lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome, aims: Aims) -> NoReturn:
+    """Pull at every view that is newer than all before. Raises as :func:`run_leader`."""
     if settings.point not in welcome.points:
         session.leave()
         raise AgentError(
@@ -208,7 +211,13 @@ def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome, aim
     settings = replace(settings, force_max_N=min(settings.force_max_N, welcome.force_max_N))
     log.info("leader: joined, pulling %s %s", settings.point, aims.described(settings, welcome.clock))
 
+    newest = -1
+
     def answer(view: LeaderView) -> LeaderForce:
+        nonlocal newest
+        if view.tick <= newest:
+            raise Refused(Reason.STALE, "tick", view.tick, f"more than {newest}")
+        newest = view.tick
         force = pull(view, point_O, settings, aims.at(view))
         return LeaderForce(view.tick, session.lease, settings.point, tuple(force.tolist()))
 
@@ -221,4 +230,7 @@ def _lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome, aim
             continue
         view = session.receive_newest(1.0)
         if isinstance(view, LeaderView):
-            session.send(answer(view))
+            try:
+                session.send(answer(view))
+            except Refused as refusal:
+                session.refuse(refusal)

@@ -65,7 +65,10 @@ class AgentSession:
         self._simulator_is_there = threading.Event()
         self._has_token = self._is_in = False
         self._publisher = link.publisher(keys.command)
-        self._refused: Counter[str] = Counter()
+        self._told: type[State | LeaderView] = LeaderView if hello.role == "leader" else State
+        """What the simulator tells such an agent at a tick."""
+        self.refused: Counter[str] = Counter()
+        """Messages of the simulator that did not fit, by reason."""
         self._early = 0
         """How many messages in the inbox were there with the welcome."""
         self.lease = 0
@@ -260,22 +263,33 @@ class AgentSession:
             if message.kind == "lost":
                 raise LostByTheSimulator(f"{self._hello.name}: the simulator gave this agent up: {message.reason}")
             raise RunEnded(message.reason)
-        if isinstance(message, State | LeaderView):
+        if isinstance(message, State | LeaderView) and isinstance(message, self._told):
             return message
+        got, expected = type(message).__name__, f"{self._told.__name__} or End"
+        self.refuse(Refused(Reason.TYPE, "type", got, expected))
         return None
 
     def receive_newest(self, timeout_s: float) -> State | LeaderView | None:
-        """As :meth:`receive`, but of those that have piled up only the last: in real time the others are history."""
+        """As :meth:`receive`, but of those that have piled up only that of the newest tick: in real time the others are
+        history."""
         message = self.receive(timeout_s)
         while not self._inbox.empty():
-            message = self.receive(0.0) or message
+            other = self.receive(0.0)
+            if other is not None and (message is None or other.tick >= message.tick):
+                message = other
         return message
 
     def refuse(self, refusal: Refused) -> None:
         """Count a message that does not fit and report the first of its kind."""
-        self._refused[refusal.reason] += 1
-        if self._refused[refusal.reason] == 1:
+        self.refused[refusal.reason] += 1
+        if self.refused[refusal.reason] == 1:
             log.warning("refused a message of the simulator: %s", refusal)
+
+    def tell_refused(self) -> None:
+        """Say in the log how many messages were refused, by reason, if any were."""
+        if self.refused:
+            counts = ", ".join(f"{times} as {reason}" for reason, times in sorted(self.refused.items()))
+            log.warning("%s: refused in all: %s", self._hello.name, counts)
 
     def send(self, message: Command | LeaderForce) -> None:
         """Publish the answer to a tick."""

@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from deploy.exit_status import COULD_NOT_RUN
 from deploy.left_over import left_over
@@ -198,6 +198,11 @@ class RayEngine:
             (ended,), _ = self._ray.wait(list(waiting), num_returns=1)
             run = waiting.pop(ended)
             yield Done(run, self._ray.get(ended))
+
+
+def engine_of(name: Literal["local", "ray"], at_once: int | None, ray_address: str | None) -> Engine:
+    """Where a command line wants its runs. Raises :class:`BatchError` if that is not to be had."""
+    return RayEngine(ray_address) if name == "ray" else LocalEngine(at_once)
 
 
 def missing(runs: Iterable[Run], root: Path) -> list[Run]:

@@ -1,4 +1,4 @@
-"""Deeds done for a scenario's events: kill, stop, hang, slow, continue and start, each confirmed.
+"""Deeds done for a scenario's events: kill, stop, hang, slow, continue, start, disconnect, reconnect, each confirmed.
 
 And leave, which takes an agent simulated time and is therefore only asked for. Here to processes of this machine;
 deploy/docker_engine.py does them to containers.
@@ -11,9 +11,11 @@ import queue
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 
 from deploy.hanging import CannotHang, hang, is_hung, let_go
+from deploy.relay import Relay
 from deploy.starving import Starved
 from sim_server.process_deeds import SIM
 from wire.codec import decode, encode
@@ -68,6 +70,7 @@ class Processes:
         start: starts an agent's process anew.
         restart_sim: kills the simulator and starts it again from its last checkpoint; what was in the way.
         shares: for each ``slow`` of the scenario, in order of time, the agent and its part of the time, 0 to 1.
+        relays: by agent, those that stand in the links that the scenario cuts.
     """
 
     def __init__(
@@ -76,9 +79,10 @@ class Processes:
         start: Callable[[str], None],
         restart_sim: Callable[[], str],
         shares: Iterable[tuple[str, float]] = (),
+        relays: Mapping[str, Relay] = MappingProxyType({}),
     ) -> None:
         self._find, self._start, self._restart_sim = find, start, restart_sim
-        self._shares = list(shares)
+        self._shares, self._relays = list(shares), relays
         self._starved: dict[str, Starved] = {}
 
     def do(self, deed: Deed) -> str | None:
@@ -92,6 +96,8 @@ class Processes:
             if deed.verb == "continue":
                 return ""
         if deed.verb == "start":
+            if deed.agent in self._relays:
+                self._relays[deed.agent].restore()
             if process is not None and process.poll() is None:
                 process.kill()
                 process.wait(CONFIRM_S)
@@ -104,6 +110,8 @@ class Processes:
             return "its process has ended already"
         if deed.verb == "slow":
             return self._slow(deed.agent, process)
+        if deed.verb in ("disconnect", "reconnect"):
+            return self._link(deed)
         try:
             if deed.verb == "hang":
                 hang(process.pid, CONFIRM_S)
@@ -129,6 +137,15 @@ class Processes:
         except subprocess.TimeoutExpired:
             return f"it has not ended {CONFIRM_S:g} s after {number.name}"
         return ""
+
+    def _link(self, deed: Deed) -> str:
+        relay = self._relays.get(deed.agent)
+        if relay is None:
+            return "nothing stands in its link that could cut it"
+        if deed.verb == "reconnect":
+            relay.restore()
+            return ""
+        return "" if relay.cut() else "it has no link that could be cut"
 
     def _slow(self, agent: str, process: subprocess.Popen[bytes]) -> str:
         share = next((each for each in self._shares if each[0] == agent), None)

@@ -1,4 +1,5 @@
-"""Deeds done to containers, as deploy/deeds.py does them to processes: `docker kill`, `pause`, `unpause` and `start`.
+"""Deeds done to containers, as deploy/deeds.py does them to processes: `docker kill`, `pause`, `unpause`, `start`, and
+`network disconnect` and `connect`.
 
 Containers are found by their labels, so it does not matter who started them. What Docker reports is believed only when
 the container's state says it too.
@@ -31,6 +32,10 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 that its receiver obeys in its own time; that it leaves is seen by the simulator."""
 
 
+NETWORKS = "{{range $name, $network := .NetworkSettings.Networks}}{{println $name}}{{end}}"
+"""What Docker is asked for: names of the networks that a container is in, one a line."""
+
+
 class EngineError(Exception):
     """The engine cannot be asked, or did not do what it was told."""
 
@@ -47,6 +52,8 @@ class Docker:
 
     def __init__(self, run: str, program: str = "docker") -> None:
         self._run, self._program = run, program
+        self._cut: dict[str, list[str]] = {}
+        """By container, the networks that it was cut off from."""
 
     def version(self) -> str:
         """The engine's version. Raises :class:`EngineError` if there is none that may be asked."""
@@ -57,11 +64,18 @@ class Docker:
         try:
             container = self._find(deed.agent)
             state = self.state(container)
-            if deed.verb == "start" and state not in GONE:
-                self._do("kill", container)
-            elif deed.verb != "start" and state in GONE:
+            if deed.verb == "start":
+                self._reconnect(container)
+                if state not in GONE:
+                    self._do("kill", container)
+            elif state in GONE:
                 return f"its container is not running any more ({state})"
-            self._do(deed.verb, container)
+            if deed.verb == "disconnect":
+                self._disconnect(container)
+            elif deed.verb == "reconnect":
+                self._reconnect(container)
+            else:
+                self._do(deed.verb, container)
         except EngineError as error:
             return str(error)
         return ""
@@ -70,7 +84,32 @@ class Docker:
         """As Docker names it: created, running, paused, exited, dead."""
         return self._ask("inspect", "--format", "{{.State.Status}}", container)
 
+    def networks(self, container: str) -> list[str]:
+        """Names of those that it is in."""
+        return self._ask("inspect", "--format", NETWORKS, container).split()
+
+    def _disconnect(self, container: str) -> None:
+        """Cut it off from all its networks: it lives on, and nobody hears of it."""
+        networks = self.networks(container)
+        if not networks:
+            raise EngineError("its container is in no network that it could be cut off from")
+        for network in networks:
+            self._ask("network", "disconnect", network, container)
+        if left := self.networks(container):
+            raise EngineError(f"its container is still in {', '.join(left)}")
+        self._cut[container] = networks
+
+    def _reconnect(self, container: str) -> None:
+        """Give it back the networks that it was cut off from."""
+        networks = self._cut.pop(container, [])
+        for network in networks:
+            self._ask("network", "connect", network, container)
+        if missing := set(networks) - set(self.networks(container)):
+            raise EngineError(f"its container is not in {', '.join(sorted(missing))}")
+
     def _do(self, verb: str, container: str) -> None:
+        if verb not in COMMANDS:
+            raise EngineError(f"nothing is known that would do {verb!r} to a container")
         command, proof = COMMANDS[verb]
         self._ask(*command, container)
         self._wait_for(container, proof)

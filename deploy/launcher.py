@@ -20,9 +20,10 @@ from pathlib import Path
 from deploy.deeds import Doer, Processes
 from deploy.mailbox import Mailbox
 from deploy.person.wishes import Wishes
+from deploy.relay import Relay
 from deploy.room import Rooms, room_environment
 from deploy.settings import toml_value
-from sim_server.faults.processes import SimKill, Slow
+from sim_server.faults.processes import SimKill, Slow, ToProcess
 from sim_server.run_folder import LOGS, claim_logs
 from sim_server.scenario import Scenario, arm_number
 from wire.access import Role
@@ -115,6 +116,7 @@ class Launcher:
         self._mailbox: Mailbox | None = None
         self._processes: Processes | None = None
         self._wishes = wishes or Wishes()
+        self._relays: dict[str, Relay] = {}
 
     def start(self) -> None:
         """Spawn everybody: the simulator, a follower per arm, and the leader if the scenario has one."""
@@ -130,12 +132,13 @@ class Launcher:
         agents = {name: ["follower", "--arm", name, *follower] for name in everybody(self._scenario)}
         if self._scenario.leader is not None:
             agents[Role.LEADER] = ["leader", *leader_arguments(self._scenario)]
+        self._relays = {name: Relay(self._endpoint) for name in cut_off(self._scenario)}
         for name, arguments in agents.items():
             self._agents[str(name)] = [
                 *arguments,
                 *common,
                 "--connect",
-                self._endpoint,
+                self._relays[name].endpoint if name in self._relays else self._endpoint,
                 "--reconnect-s",
                 self._reconnect_s(),
             ]
@@ -165,9 +168,9 @@ class Launcher:
 
     def _reconnect_s(self) -> str:
         """How long agents wait for a simulator that is gone: not at all, as without it the run is over, but where the
-        scenario has it killed and started again."""
+        scenario has it killed and started again, or cuts a link."""
         is_killed = any(isinstance(event, SimKill) for event in self._scenario.events)
-        return repr(self._scenario.clock.start_timeout_s) if is_killed else "0"
+        return repr(self._scenario.clock.start_timeout_s) if is_killed or self._relays else "0"
 
     def _restart_sim(self) -> str:
         """Kill the simulator, and have another go on from its last checkpoint. What was in the way, or nothing."""
@@ -245,7 +248,7 @@ class Launcher:
         link.subscribe(Keys(self._run).progress, news.put)
         slowed = sorted((event for event in self._scenario.events if isinstance(event, Slow)), key=lambda e: e.at_s)
         shares = [(event.agent, event.share_percent / 100) for event in slowed]
-        self._processes = Processes(self._process_of, self._start_agent, self._restart_sim, shares)
+        self._processes = Processes(self._process_of, self._start_agent, self._restart_sim, shares, self._relays)
         doer = Doer(link, self._run, self._processes.do)
         orders = link.publisher(Keys(self._run).order)
         self._mailbox = Mailbox(self._folder)
@@ -302,6 +305,8 @@ class Launcher:
                 with suppress(BrokenPipeError):
                     child.process.stdin.close()
         self._rooms.clear()
+        while self._relays:
+            self._relays.popitem()[1].close()
         if self._mailbox is not None:
             self._mailbox.close()
             self._mailbox = None
@@ -312,6 +317,11 @@ def everybody(scenario: Scenario) -> list[str]:
     known = [*scenario.arms, *scenario.joining]
     last = max(arm_number(name) + 1 for name in known)
     return [*known, *(f"a{last + k}" for k in range(1, SPARE_NAMES + 1))]
+
+
+def cut_off(scenario: Scenario) -> set[str]:
+    """Agents whose link the scenario cuts."""
+    return {event.agent for event in scenario.events if isinstance(event, ToProcess) and event.kind == "disconnect"}
 
 
 def follower_arguments(scenario: Scenario) -> list[str]:

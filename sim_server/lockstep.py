@@ -159,6 +159,7 @@ class Ticker(ABC):
             message: State | LeaderView
             if name == LEADER:
                 if tick % self._leader_every:
+                    self._put_late(agent, name, tick)
                     continue
                 pose = self._plant.load_pose()
                 message = LeaderView(
@@ -183,20 +184,30 @@ class Ticker(ABC):
                     reading.odometry,
                 )
             agent.link.state_sent(tick)
-            answers = self._put(agent, name, tick, encode(message))
-            if answers and name not in self._frozen and name not in self._silent:
-                self._waiting.add(name)
+            payload = encode(message)
+            if name in self.edge.troubled:
+                self._put_through_faults(agent, name, tick, payload)
+            else:
+                agent.publisher.put(payload)
+                self._wait_for(name)
 
-    def _put(self, agent: Agent, name: str, tick: int, payload: bytes) -> bool:
-        """Send it, or what message faults make of it; whether there will be an answer."""
-        if name not in self.edge.troubled:
-            agent.publisher.put(payload)
-            return True
+    def _put_late(self, agent: Agent, name: str, tick: int) -> None:
+        """In a tick without a view for the leader: send those that message faults held until now."""
+        if name in self.edge.troubled:
+            self._put_through_faults(agent, name, tick, None)
+
+    def _put_through_faults(self, agent: Agent, name: str, tick: int, payload: bytes | None) -> None:
+        """Send what message faults make of it, and wait if there will be an answer."""
         link = agent.link
         out, answers = self.edge.send(name, tick, link.lease, link.invitation.joints, payload)
         for each in out:
             agent.publisher.put(each)
-        return answers
+        if answers:
+            self._wait_for(name)
+
+    def _wait_for(self, name: str) -> None:
+        if name not in self._frozen and name not in self._silent:
+            self._waiting.add(name)
 
     def take(self, arrived: Arrived) -> None:
         """Deal with one thing from the inbox. Raises :class:`Stopped`."""
@@ -225,6 +236,10 @@ class Ticker(ABC):
         agent = self._reception.agents[name]
         if name not in self.edge.troubled:
             self._take_answer(name, agent, payload)
+            if agent.link.open_tick is None:
+                self._waiting.discard(name)
+                if not agent.link.missed_in_row:
+                    self._silent.discard(name)
             return
         for each in self.edge.receive(name, self._tick, payload):
             self._take_answer(name, agent, each)
@@ -245,10 +260,6 @@ class Ticker(ABC):
                 self.timings.controller.append(command.step_ns)
         except Refused as refusal:
             self._reception.refuse(name, refusal)
-        if agent.link.open_tick is None:
-            self._waiting.discard(name)
-            if not agent.link.missed_in_row:
-                self._silent.discard(name)
 
     def _pull(self, agent: Agent, force: LeaderForce) -> None:
         self._accept(agent, force)  # in time it is, even if what it wants is refused: the pull before stays

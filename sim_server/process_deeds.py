@@ -146,12 +146,12 @@ class ProcessDeeds:
         agent, name = self._reception.agents[event.agent], event.agent
         if event.kind in ("kill", "start"):
             self._clock.thaw(name)
-        seconds = self._start_s if event.kind == "start" else DEED_S
+        seconds = self._start_s if event.kind in ("start", "reconnect") else DEED_S
         self._ask(event, seconds)
-        if event.kind == "kill":
+        if event.kind in ("kill", "disconnect"):
             self._wait_until_dead(agent, event, seconds)
             return "its sign of life is gone"
-        if event.kind == "start":
+        if event.kind in ("start", "reconnect"):
             if agent.is_gone:
                 raise undone(event, "its robot has been taken away")
             self.wait(lambda: agent.is_in and agent.alive, event, "it has not joined", seconds)

@@ -54,13 +54,15 @@ else:
     ScenarioEvent = Annotated[reduce(or_, SETTINGS), Field(discriminator="kind")]
 
 _FOLLOWS: Mapping[AnyVerb, tuple[Collection[str], str]] = {
-    "kill": (("running", "stopped", "leaving", "hung", "slow"), "gone"),
+    "kill": (("running", "stopped", "leaving", "hung", "slow", "cut off"), "gone"),
     "stop": (("running", "leaving"), "stopped"),
     "hang": (("running", "leaving"), "hung"),
     "slow": (("running",), "slow"),
     "continue": (("stopped", "hung", "slow"), "running"),
     "leave": (("running", "slow"), "leaving"),
-    "start": (("gone", "stopped", "leaving", "running again", "hung"), "running"),
+    "disconnect": (("running",), "cut off"),
+    "reconnect": (("cut off",), "running"),
+    "start": (("gone", "stopped", "leaving", "running again", "hung", "cut off"), "running"),
 }
 """Which process a verb can be done to, and what that process is then. One that is leaving may have gone meanwhile."""
 
@@ -115,7 +117,7 @@ def check_events(
             slipped.add(event.arm)
             continue
         if isinstance(event, Lasting):
-            _check_lasting(event, where, there, end_s)
+            _check_lasting(event, where, list(process) if isinstance(event, MessageEvent) else there, end_s)
             continue
         if event.agent not in process:
             raise ValueError(f"{where}.agent: no agent {event.agent!r}; expected one of {', '.join(process)}")
@@ -137,7 +139,7 @@ def _check_sim_kill(
     if any(isinstance(each, Join) for each in events):
         raise ValueError(f"{where}.kind: 'sim_kill' in a scenario in which robots come: expected one or the other")
     for agent, is_ in process.items():
-        if is_ in ("stopped", "hung", "leaving"):
+        if is_ in ("stopped", "hung", "leaving", "cut off"):
             raise ValueError(f"{where}.at_s: {agent} is {is_} at {event.at_s:g} s and cannot greet the next simulator")
     since_s = checkpoint_s * math.floor(event.at_s / checkpoint_s + 1e-9)
     for number, each in _parts(events):

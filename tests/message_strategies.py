@@ -134,7 +134,7 @@ MESSAGES: dict[str, st.SearchStrategy[Message]] = {
     "deed": st.builds(
         Deed,
         number=integers,
-        verb=st.sampled_from(["kill", "stop", "continue", "start", "leave", "hang", "slow"]),
+        verb=st.sampled_from(["kill", "stop", "continue", "start", "leave", "hang", "slow", "disconnect", "reconnect"]),
         agent=text(),
     ),
     "done": st.builds(Done, number=integers, problem=text(1000)),

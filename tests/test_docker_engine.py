@@ -54,6 +54,40 @@ def test_who_is_dead_already_cannot_be_stopped(tmp_path: Path) -> None:
     assert engine(tmp_path, "echo exited").do(Deed(1, "stop", "a2")).endswith("not running any more (exited)")
 
 
+NETWORKED = """
+case "$1 $2" in
+    "ps --all") echo c2 ;;
+    "network disconnect") rm networks/"$3" ;;
+    "network connect") touch networks/"$3" ;;
+    "inspect --format") case "$3" in *Status*) echo running ;; *) ls networks ;; esac ;;
+esac
+"""
+"""A container in two networks: files of a folder."""
+
+
+def test_a_container_is_cut_off_from_all_its_networks_and_gets_them_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("team_a2", "team_b"):
+        (tmp_path / "networks" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "networks" / name).touch()
+    docker = engine(tmp_path, NETWORKED)
+    assert docker.do(Deed(1, "disconnect", "a2")) == ""
+    assert docker.networks("c2") == []
+    assert docker.do(Deed(2, "disconnect", "a2")) == "its container is in no network that it could be cut off from"
+    assert docker.do(Deed(3, "reconnect", "a2")) == ""
+    assert docker.networks("c2") == ["team_a2", "team_b"]
+    stubborn = engine(tmp_path, NETWORKED.replace("rm ", "test -e "))
+    assert stubborn.do(Deed(4, "disconnect", "a2")) == "its container is still in team_a2, team_b"
+
+
+def test_what_is_not_done_to_containers_is_said(tmp_path: Path) -> None:
+    assert (
+        engine(tmp_path, "echo running").do(Deed(1, "hang", "a2")).startswith("nothing is known that would do 'hang'")
+    )
+
+
 def test_the_verb_ends_in_one_sentence_where_nobody_is(tmp_path: Path) -> None:
     engine(tmp_path, "echo 1.2.3")
     path = {"PATH": f"{tmp_path}:/usr/bin:/bin"}

@@ -78,7 +78,7 @@ def joined(simulator: PlayedSimulator) -> AgentSession:
 def test_of_states_that_have_piled_up_only_the_newest_counts_in_real_time() -> None:
     simulator = PlayedSimulator("real-time")
     session = joined(simulator)
-    for tick in (4, 5, 6):
+    for tick in (4, 6, 5):  # one was overtaken
         simulator.state.put(state(tick))
     simulator.state.put(b"\xc1 garbage")
     newest = session.receive_newest(0.0)
@@ -328,3 +328,25 @@ def test_the_leader_damps_the_velocity_of_the_point_it_pulls() -> None:
     settings = LeaderSettings("test", (2.0, 0.0), stiffness_N_m=40, damping_Ns_m=10)
     np.testing.assert_allclose(pull(view, np.array([0.8, 0.0, 0.7]), settings), [8.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(rotate(np.array([half, 0, 0, half]), np.array([1.0, 2.0, 3.0])), [-2.0, 1.0, 3.0])
+
+
+def test_a_message_for_somebody_else_is_counted_as_refused_and_not_answered() -> None:
+    simulator = PlayedSimulator("lock-step")
+    session = joined(simulator)
+    simulator.state.put(encode(LeaderView(1, 0, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)))
+    simulator.state.put(encode(HELLO))
+    assert session.receive(0.0) is None
+    assert session.receive(0.0) is None
+    assert session.refused == {Reason.TYPE: 2}
+
+
+def test_the_leader_answers_no_view_twice() -> None:
+    simulator = PlayedSimulator("lock-step")
+    link = simulator.broker.link()
+    simulator.start(lambda: run_leader(link, LeaderSettings("test", (2.0, 0.0))))
+    wait_for(simulator.view.matched)
+    for tick in (10, 10, 5, 11):
+        simulator.view.put(encode(LeaderView(tick, 0, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)))
+    ticks = [decode(simulator.answers.get(timeout=DEADLINE_S), LeaderForce).tick for _ in range(2)]
+    assert ticks == [10, 11]
+    assert simulator.answers.empty()

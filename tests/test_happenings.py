@@ -21,6 +21,7 @@ from sim_server.grasping import Closing
 from sim_server.happenings import Arrivals, Happenings
 from sim_server.newcomers import CannotCome
 from sim_server.process_deeds import Undone
+from sim_server.reception import LEADER
 from sim_server.scenario_events import AnyEvent, Join, check_events
 from sim_server.scenario_files import load_scenario
 from sim_server.snapshot import pack, unpack
@@ -104,6 +105,11 @@ def message(**changes: Any) -> dict[str, Any]:
             ("events.1", "at 1 s", "run again"),
         ),
         ([{"at_s": 0.5, "kind": "hang", "agent": "a1"}, SIM_KILL], "events.1.at_s", ("a1 is hung", "cannot greet")),
+        (
+            [{"at_s": 0.5, "kind": "disconnect", "agent": "a1"}, SIM_KILL],
+            "events.1.at_s",
+            ("a1 is cut off", "cannot greet"),
+        ),
         (
             [
                 {"at_s": 0.5, "kind": "kill", "agent": "a4"},
@@ -261,9 +267,11 @@ class Stage:
         waits: bool = True,
         ticks: int = 10**6,
         timeout_s: float = TIMEOUT_S,
+        leader: bool = False,
     ) -> None:
-        self.bench = Bench(timeout_s=timeout_s)
-        self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in ("a1", "a2")}
+        self.bench = Bench(timeout_s=timeout_s, leader=leader)
+        names = ("a1", "a2", LEADER) if leader else ("a1", "a2")
+        self.agents: dict[str, MemoryAgent] = {name: self.bench.join(name) for name in names}
         self.hands = NoHands()
         keys = Keys(RUN)
         self.deeds: list[Deed] = []
@@ -294,11 +302,11 @@ class Stage:
 
     def obey(self, deed: Deed) -> str:
         agent = self.agents[deed.agent]
-        if deed.verb == "kill":
+        if deed.verb in ("kill", "disconnect"):
             agent.link.close()
         elif deed.verb in ("stop", "hang"):
             agent.behave = silent
-        elif deed.verb == "start":
+        elif deed.verb in ("start", "reconnect"):
             self.agents[deed.agent] = MemoryAgent(self.bench.broker, deed.agent, BEHAVES)
         elif deed.verb == "continue":
             agent.behave = BEHAVES
@@ -374,6 +382,25 @@ def test_a_hung_agent_that_is_let_go_in_time_goes_on_and_is_waited_for_again() -
     stage.run(10)
     assert stage.bench.commands("a2") == [0.5, 1.5, *(tick + 0.5 for tick in range(5, 10))]
     assert stage.bench.reported("lost") == []
+
+
+def test_an_agent_that_is_cut_off_is_lost_at_once_and_has_a_new_lease_when_its_link_is_there_again() -> None:
+    stage = Stage(event(2, "disconnect"), event(5, "reconnect"))
+    assert stage.run(10) < TIMEOUT_S
+    (lost,) = stage.bench.reported("lost")
+    assert (lost["agent"], lost["why"], lost["missed_ticks"]) == ("a2", "its sign of life is gone", 0)
+    assert stage.reported("seen") == stage.reported("ordered") == [("disconnect", "a2"), ("reconnect", "a2")]
+    assert stage.agents["a2"].lease == 2
+    assert stage.bench.commands("a2") == [tick + 0.5 for tick in range(10) if tick not in (2, 3, 4)]
+    assert stage.happenings.proofs.missing() == []
+
+
+def test_a_link_that_only_says_it_is_cut_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process_deeds, "DEED_S", 0.05)
+    stage = Stage(event(2, "disconnect"))
+    stage.do = lambda deed: ""
+    with pytest.raises(Undone, match="its sign of life is still there"):
+        stage.run(3)
 
 
 def test_a_restart_storm_is_its_kills_and_starts_each_seen() -> None:

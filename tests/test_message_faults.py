@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import queue
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,20 +14,25 @@ from bench import LOST_AFTER, TIMEOUT_S, Bench, MemoryAgent, silent
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
+from played_simulator import DEADLINE_S, PlayedSimulator, wait_for
 from processes import read_events, read_json
 from test_happenings import Stage
 from test_realtime import RealBench
 from test_resume import KILLED_AT, begin, go_on
 
 from agents.follower import Follower, FollowerSettings
+from agents.leader import LeaderSettings, run_leader
+from sim_server.errors import ScenarioError
 from sim_server.faults.edge import SETTINGS, Edge
 from sim_server.faults.message import MessageEvent
+from sim_server.reception import LEADER
 from sim_server.scenario_events import AnyEvent
+from sim_server.scenario_files import load_scenario
 from sim_server.snapshot import pack, unpack
 from wire.codec import decode, decode_any, encode
 from wire.errors import Reason, Refused
 from wire.lifecycle import Phase
-from wire.messages import Command, State
+from wire.messages import Command, End, LeaderForce, LeaderView, State
 
 PATIENCE_S = 30.0
 REQUIRED: dict[str, dict[str, Any]] = {"wrong_arm": {"name": "a7"}}
@@ -37,9 +45,9 @@ def fault(kind: str, direction: str = "from", at_s: float = 0.0, **keys: Any) ->
     return event
 
 
-def patient(*events: AnyEvent) -> Stage:
+def patient(*events: AnyEvent, leader: bool = False) -> Stage:
     """A stage on which waiting in vain cannot be mistaken for a slow machine."""
-    return Stage(*events, timeout_s=PATIENCE_S)
+    return Stage(*events, timeout_s=PATIENCE_S, leader=leader)
 
 
 def last_words(stage: Stage) -> str:
@@ -377,6 +385,214 @@ def test_a_run_with_a_fault_that_was_not_seen_is_unknown_and_says_which(
     if verdict == "unknown":
         assert missing == ["event 'loss' of a1 at 0.01 s was not seen to take effect"]
         assert missing[0] in outcome.why
+
+
+# The leader's messages: a view every other tick here, and a pull for each
+
+
+def pulled(stage: Stage) -> list[int]:
+    """Ticks of the views whose pulls acted."""
+    return [int(entry[2][0]) for entry in stage.bench.book if entry[0] == "pull"]
+
+
+def led(*events: AnyEvent) -> Stage:
+    """A stage whose leader pulls with as many newtons as the view has ticks, as the wire says."""
+    stage, newest = patient(*events, leader=True), -1
+
+    def behave(agent: MemoryAgent, view: Any) -> None:
+        nonlocal newest
+        if view.tick > newest:
+            newest = view.tick
+            agent.force(view.tick, (float(min(view.tick, 40)), 0.0, 0.0))
+
+    stage.agents[LEADER].behave = behave
+    return stage
+
+
+def lead_fault(kind: str, direction: str, at_s: float = 0.010, **keys: Any) -> MessageEvent:
+    return fault(kind, direction, at_s, arm=LEADER, **keys)
+
+
+@pytest.mark.parametrize("direction", ["to", "from"])
+def test_a_lost_view_or_pull_is_a_missed_tick_of_the_leader_at_once_and_of_nobody_else(direction: str) -> None:
+    stage = led(lead_fault("loss", direction, for_s=0.006, probability=1.0))
+    assert stage.run(30) < PATIENCE_S
+    assert pulled(stage) == [tick for tick in range(0, 30, 2) if tick not in (10, 12, 14)]
+    assert stage.bench.reception.agents[LEADER].link.missed == 3
+    assert last_words(stage) == "it has ended: 3 of 3 messages lost"
+    assert stage.bench.commands("a1") == stage.bench.commands("a2") == [tick + 0.5 for tick in range(30)]
+    told = [each for each in stage.bench.reported("seen") if each["event"] == "loss"]
+    assert {each["agent"] for each in told} == {LEADER}
+
+
+@pytest.mark.parametrize("direction", ["to", "from"])
+@pytest.mark.parametrize("delay_ticks", [1, 2, 3])
+def test_a_late_view_or_pull_comes_at_its_tick_though_the_leader_has_none_then(
+    direction: str, delay_ticks: int
+) -> None:
+    stage = led(lead_fault("delay", direction, for_s=0.003, delay_ticks=delay_ticks))
+    assert stage.run(30) < PATIENCE_S
+    missed = [10, 12]
+    # A view of tick 12 that comes after that of 14 is answered no more.
+    late = 2 if direction == "from" or delay_ticks < 3 else 1
+    assert pulled(stage) == [tick for tick in range(0, 30, 2) if tick not in missed]
+    assert stage.bench.refused(LEADER) == {Reason.STALE: late}
+    assert last_words(stage) == "it has ended: 2 of 2 messages late"
+    if direction == "to":
+        seen = [view.tick for view in stage.agents[LEADER].seen]
+        assert sorted(seen) == list(range(0, 30, 2)), "none is lost"
+
+
+def test_in_which_tick_late_answers_are_refused_does_not_depend_on_how_long_they_take() -> None:
+    """Also where several views come at once in a tick that has none of its own: all answers are waited for."""
+
+    def slow(stage: Stage) -> None:
+        answer, views = stage.agents[LEADER].behave, queue.SimpleQueue[Any]()
+        stage.agents[LEADER].behave = lambda agent, view: views.put((agent, view))
+
+        def work() -> None:
+            while True:
+                agent, view = views.get()
+                time.sleep(0.002)
+                answer(agent, view)
+
+        threading.Thread(target=work, daemon=True).start()
+
+    refused: list[list[int]] = []
+    for is_slow in (False, True):
+        # Two views each, so that the leader is not lost.
+        stage = led(*(lead_fault("jitter", "to", 0.02 * k, for_s=0.004, jitter_ticks=5) for k in range(1, 50)))
+        if is_slow:
+            slow(stage)
+        refused.append([])
+        for _ in range(1000):
+            stage.run(1)
+            refused[-1].append(stage.bench.refused(LEADER).get(Reason.STALE, 0))
+    assert refused[0] == refused[1]
+    steps = [after - before for before, after in zip(refused[0], refused[0][1:], strict=False)]
+    assert 2 in steps[::2], "two at once, in a tick without a view"
+
+
+@pytest.mark.parametrize("direction", ["to", "from"])
+def test_a_view_or_pull_that_waits_for_the_next_one_goes_by_itself_when_the_fault_has_ended(direction: str) -> None:
+    stage = led(lead_fault("reorder", direction, for_s=0.001, probability=1.0))
+    assert stage.run(30) < PATIENCE_S
+    assert pulled(stage) == [tick for tick in range(0, 30, 2) if tick != 10]
+    assert stage.bench.refused(LEADER) == ({Reason.STALE: 1})
+    assert stage.bench.clock.edge.troubled == set()
+
+
+@pytest.mark.parametrize("kind", ["truncate", "nan"])
+def test_a_spoiled_pull_is_refused_and_the_pull_before_stays(kind: str) -> None:
+    stage = led(lead_fault(kind, "from", for_s=0.004))
+    assert stage.run(30) < PATIENCE_S
+    assert pulled(stage) == [tick for tick in range(0, 30, 2) if tick not in (10, 12)]
+    assert sum(stage.bench.refused(LEADER).values()) == 2
+    assert last_words(stage).startswith("it has ended: 2 of 2 messages ")
+
+
+def test_a_doubled_pull_is_refused_once_and_a_doubled_or_old_view_is_answered_once() -> None:
+    doubled = led(lead_fault("duplicate", "from", for_s=0.004), lead_fault("duplicate", "to", 0.020, for_s=0.004))
+    assert doubled.run(30) < PATIENCE_S
+    assert pulled(doubled) == list(range(0, 30, 2))
+    assert doubled.bench.refused(LEADER) == {Reason.DUPLICATE: 2}
+    old = led(lead_fault("stale", "to", for_s=0.006, age_ticks=1))
+    assert old.run(30) < PATIENCE_S
+    assert pulled(old) == [tick for tick in range(0, 30, 2) if tick not in (12, 14)]
+
+
+def test_a_leader_of_whom_nothing_comes_is_lost_and_pulls_no_more() -> None:
+    stage = led(lead_fault("loss", "from", probability=1.0))
+    assert stage.run(10 + 2 * LOST_AFTER) < PATIENCE_S
+    (lost,) = stage.bench.reported("lost")
+    assert (lost["agent"], lost["missed_ticks"], lost["then"]) == (LEADER, LOST_AFTER, "stops pulling")
+    assert stage.bench.commands("a1")[-1] == 10 + 2 * LOST_AFTER - 0.5
+
+
+def test_the_leaders_messages_bear_no_name_that_could_be_wrong() -> None:
+    problem = lead_fault("wrong_arm", "to").problem()
+    assert problem is not None
+    assert problem[0] == "arm"
+
+
+def test_a_scenario_may_have_faults_of_a_leader_that_it_has() -> None:
+    loss = {"at_s": 1.0, "kind": "loss", "arm": "leader", "direction": "to"}
+    assert load_scenario("transport", {"events": [loss]}).scenario.events[0].kind == "loss"
+    stuck = {"at_s": 1.0, "kind": "joint_stuck", "arm": "leader", "joint": 1}
+    wrong = loss | {"kind": "wrong_arm", "name": "a2"}
+    nobody: dict[str, Any] = {"events": [loss], "leader": None, "expect": {}}
+    for changes in ({"events": [stuck]}, {"events": [wrong]}, nobody):
+        with pytest.raises(ScenarioError, match=r"events\.0\.arm"):
+            load_scenario("transport", changes)
+
+
+def test_in_real_time_a_late_pull_acts_as_late_as_told() -> None:
+    bench = RealBench(leader=True)
+    for name in ("a1", "a2"):
+        bench.join(name, bench.answering_after(100_000))
+    bench.join(LEADER, lambda agent, view: agent.force(view.tick, (float(view.tick), 0.0, 0.0)))
+    bench.run(4)
+    bench.clock.edge.begin(lead_fault("delay", "from", delay_ticks=1), 10)
+    acted = []
+    for tick in range(4, 14):
+        bench.run(1)
+        acted.append((tick, int(bench.forces()[-1][0])))
+    assert acted == [(4, 2), (5, 4), (6, 4), (7, 6), (8, 6), (9, 8), (10, 10), (11, 10), (12, 12), (13, 12)]
+
+
+leader_kinds = st.sampled_from(sorted(SETTINGS.keys() - {"wrong_arm"}))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(leader_kinds, min_size=1, max_size=3), st.integers(0, 2**32), st.floats(0.1, 1.0))
+def test_the_edge_knows_which_views_the_shipped_leader_answers(chain: list[str], seed: int, probability: float) -> None:
+    simulator = PlayedSimulator("lock-step")
+    link = simulator.broker.link()
+    simulator.start(lambda: run_leader(link, LeaderSettings("test", (2.0, 0.0))))
+    wait_for(simulator.view.matched)
+    simulator.view.put(view_of(0))
+    assert decode(simulator.answers.get(timeout=DEADLINE_S), LeaderForce).tick == 0
+    edge = Edge(seed)
+    for kind in chain:
+        edge.begin(lead_fault(kind, "to", probability=probability), 40)
+    for tick in range(1, 60):
+        edge.settle(tick)
+        out, answers = edge.send(LEADER, tick, 3, 0, view_of(tick) if tick % 3 == 0 else None)
+        for payload in out:
+            simulator.view.put(payload)
+        answered = []
+        while not simulator.answers.empty():
+            answered.append(simulator.answers.get())
+        assert answers == bool(answered)
+        assert [edge.is_last(LEADER, each) for each in answered[-1:]] == [True] * answers
+        assert not any(edge.is_last(LEADER, each) for each in answered[:-1])
+    simulator.view.put(encode(End("over", "enough")))
+    assert simulator.ended.get(timeout=DEADLINE_S) == "enough"
+
+
+def view_of(tick: int) -> bytes:
+    return encode(LeaderView(tick, tick * 10**6, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3))
+
+
+LEADER_FAULTS = {
+    "events": [
+        {"at_s": 0.005, "kind": "jitter", "arm": "leader", "direction": "to", "jitter_ticks": 5, "for_s": 0.06},
+        {"at_s": 0.015, "kind": "bit_flip", "arm": "leader", "direction": "from", "probability": 0.7, "for_s": 0.07},
+        {"at_s": 0.025, "kind": "loss", "arm": "leader", "direction": "to", "probability": 0.4},
+    ]
+}
+
+
+def test_two_runs_with_faults_of_the_leaders_messages_leave_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        begin(tmp_path / name, LEADER_FAULTS)
+    begin(tmp_path / "none", {})
+    one, two, none = ((tmp_path / name / "trace.parquet").read_bytes() for name in ("one", "two", "none"))
+    assert one == two != none
+    run = read_json(tmp_path / "one" / "run.json")
+    assert run["unproven"] == []
+    assert run["agents"][LEADER]["missed_ticks"] > 0
+    assert run["agents"] == read_json(tmp_path / "two" / "run.json")["agents"]
 
 
 # In real time

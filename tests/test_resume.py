@@ -64,9 +64,14 @@ def team(broker: Broker, server_scenario: Any, kill_at: int | None) -> list[Memo
 
         agents.append(MemoryAgent(broker, arm, answer, follower.hello()))
     wanted = LeaderSettings(RUN, server_scenario.leader.goal_m, server_scenario.leader.force_max_N)
+    newest = -1
 
     def lead(agent: MemoryAgent, view: State | LeaderView) -> None:
+        nonlocal newest
         assert isinstance(view, LeaderView)
+        if view.tick <= newest:
+            return
+        newest = view.tick
         point = decode(agent.greeting.replies[0], Welcome).points["front"]
         agent.force(view.tick, tuple(pull(view, np.array(point), wanted).tolist()))
 

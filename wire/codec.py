@@ -221,7 +221,7 @@ SCHEMAS: Mapping[str, tuple[type[Any], Mapping[str, Check]]] = {
         Deed,
         {
             "number": _integer,
-            "verb": _one_of("kill", "stop", "continue", "start", "leave", "hang", "slow"),
+            "verb": _one_of("kill", "stop", "continue", "start", "leave", "hang", "slow", "disconnect", "reconnect"),
             "agent": _text(40),
         },
     ),

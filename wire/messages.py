@@ -212,7 +212,7 @@ class Deed(Struct, frozen=True, gc=False):
 
     number: int
     """Of this deed in the run; the report carries it back."""
-    verb: Literal["kill", "stop", "continue", "start", "leave", "hang", "slow"]
+    verb: Literal["kill", "stop", "continue", "start", "leave", "hang", "slow", "disconnect", "reconnect"]
     agent: str
 
 

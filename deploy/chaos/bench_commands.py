@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -28,6 +28,8 @@ Preset = Annotated[str | None, typer.Option(help="The law: paper, palanquin, or 
 Seed = Annotated[int, typer.Option(min=0, help="Decides everything that is drawn, and the scenario's own seed.")]
 Out = Annotated[Path | None, typer.Option(help="Where all goes; a dated folder under runs/ by default.")]
 AtOnce = Annotated[int | None, typer.Option(min=1, help="Runs at a time; one per core by default.")]
+Engine = Annotated[Literal["local", "ray"], typer.Option(help="Where runs are run.")]
+RayAddress = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster.")]
 
 
 @app.command()
@@ -51,7 +53,7 @@ def storm(
 
     carry = carry_of(scenario, arms, preset)
     events = draw_storm(carry, seed, faults, _rows(only) if only else None)
-    folder = _new_folder(out, f"storm-{seed}")
+    folder = new_folder(out, f"storm-{seed}")
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / STORM
     file.write_text(
@@ -74,7 +76,7 @@ def run_(
     out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
 ) -> None:
     """Run a scenario and hold the invariants against it, in place of the scenario's own `[expect]`."""
-    judgement = _run_and_print(_console(), scenario, _new_folder(out, Path(scenario).stem))
+    judgement = _run_and_print(_console(), scenario, new_folder(out, Path(scenario).stem))
     raise typer.Exit(OF_VERDICT[judgement.verdict])
 
 
@@ -141,13 +143,15 @@ def matrix(
     preset: Annotated[list[str] | None, typer.Option(help="May be repeated; paper and palanquin by default.")] = None,
     only: Annotated[list[str] | None, typer.Option(metavar="FAULT", help="Only these; may be repeated.")] = None,
     at_once: AtOnce = None,
+    engine: Engine = "local",
+    ray_address: RayAddress = None,
 ) -> None:
     """Every fault, by every team, under every law, over seeds: where the team carries, where it stops, where it drops.
 
     Leaves matrix.md, matrix.json and survival.png. Status 0 if all invariants hold in all runs, 1 if one is violated, 3
     if one is unknown or a run is missing.
     """
-    from deploy.batch import LocalEngine
+    from deploy.batch import engine_of
     from deploy.chaos.matrix import describe, judged, plan_matrix, report, table
     from deploy.chaos.outcome import verdict_of
     from deploy.chaos.printing import runs_bar
@@ -157,8 +161,9 @@ def matrix(
 
     cells = plan_matrix(_rows(only), arms or [4, 6], preset or ["paper", "palanquin"], range(1, 1 + seeds))
     runs, console = [run for cell in cells for run in cell.runs], _console()
+    out.mkdir(parents=True, exist_ok=True)
     with runs_bar(console) as told:
-        found = judged(cells, try_all(runs, out, LocalEngine(at_once), told))
+        found = judged(cells, try_all(runs, out, engine_of(engine, at_once, ray_address), told))
     command, picture = "palanquin " + shlex.join(sys.argv[1:]), "survival.png"
     draw_map(found, out / picture)
     (out / "matrix.md").write_text(report(found, command, cost_text(runs, out), picture), encoding="utf-8")
@@ -178,9 +183,11 @@ def lost(
         "runs/lost"
     ),
     at_once: AtOnce = None,
+    engine: Engine = "local",
+    ray_address: RayAddress = None,
 ) -> None:
     """Lose any one follower of `transport` in any way, at drawn ticks: the worst tilt, height and goal error."""
-    from deploy.batch import LocalEngine
+    from deploy.batch import engine_of
     from deploy.chaos.lost import draw_losses, rows_of, run_of
     from deploy.chaos.outcome import OUTCOMES, verdict_of
     from deploy.chaos.printing import runs_bar
@@ -191,7 +198,7 @@ def lost(
     losses = draw_losses(load_scenario("transport").scenario.arms, ticks, seed)
     runs, console = [run_of(loss, preset, seed) for loss in losses], _console()
     with runs_bar(console) as told:
-        by_place = try_all(runs, out, LocalEngine(at_once), told)
+        by_place = try_all(runs, out, engine_of(engine, at_once, ray_address), told)
     judgements = [by_place[run.place] for run in runs]
     numbers = ("tilt deg", "low m", "goal m")
     table = plain_table("loss, arm", *OUTCOMES, *numbers, right=(*OUTCOMES, *numbers))
@@ -214,7 +221,7 @@ def _rows(names: list[str] | None) -> tuple[Fault, ...]:
         raise typer.BadParameter(f"--only: {error}") from None
 
 
-def _new_folder(out: Path | None, name: str) -> Path:
+def new_folder(out: Path | None, name: str) -> Path:
     """The folder that was asked for, or a dated one. Raises RunFolderError if there is something in it."""
     from sim_server.run_folder import RunFolderError
     from sim_server.server import default_folder

@@ -93,9 +93,21 @@ PUSH_S = Span(0.3, 2.0)
 LOAD = {"point": "centre_of_mass"}
 
 
+MESSAGES_S = Span(0.5, 3.0)
+DIRECTIONS = {"direction": ("to", "from")}
+
+
 def _message(kind: str, **ranges: Any) -> Fault:
     """A fault of one arm's messages, its states or its commands."""
-    return Fault(kind, kind, "arm", for_s=Span(0.5, 3.0), choices={"direction": ("to", "from")}, **ranges)
+    return Fault(kind, kind, "arm", for_s=MESSAGES_S, choices=DIRECTIONS, **ranges)
+
+
+def _leader_message(kind: str, **ranges: Any) -> Fault:
+    """A fault of the leader's messages, its views or its pulls. Storms are drawn without: they stay what they were."""
+    leader = {"arm": "leader"}
+    return Fault(
+        f"leader-{kind}", kind, "load", for_s=MESSAGES_S, choices=DIRECTIONS, fixed=leader, alone=True, **ranges
+    )
 
 
 def _body(name: str, kind: str, **ranges: Any) -> Fault:
@@ -128,6 +140,9 @@ ROWS: tuple[Fault, ...] = (
     # Nobody may be stopped or leaving then, and what the dead simulator's connections carried is not known: the audit
     # of such a run is unknown.
     Fault("sim_kill", "sim_kill", "load", alone=True),
+    # Wall time of Zenoh's own reconnecting; storms are drawn without: they stay what they were.
+    Fault("disconnect", "disconnect", "agent", ends=True, alone=True),
+    Fault("disconnect-reconnect", "disconnect", "agent", then=("reconnect", Span(0.3, 2.0)), ends=True, alone=True),
     Fault("leader-kill", "kill", "leader", ends=True),
     Fault("leader-kill-start", "kill", "leader", then=("start", Span(0.3, 2.0)), ends=True),
     Fault("leader-stop", "stop", "leader", ends=True),
@@ -150,6 +165,10 @@ ROWS: tuple[Fault, ...] = (
     _message("bit_flip", strengths=OFTEN, counts={"bits": (1, 4)}),
     _message("nan", strengths=OFTEN),
     _message("wrong_arm", strengths=OFTEN, another_arm="name"),
+    _leader_message("delay", strengths=OFTEN, counts={"delay_ticks": (1, 30)}),
+    _leader_message("loss", strengths=OFTEN),
+    _leader_message("bit_flip", strengths=OFTEN, counts={"bits": (1, 4)}),
+    _leader_message("nan", strengths=OFTEN),
     _body("joint_stuck", "joint_stuck", counts=ANY_JOINT),
     _body("torque_loss", "torque_loss", counts=ANY_JOINT, strengths={"factor": Span(0.0, 0.8)}),
     _body("torque_saturation", "torque_saturation", counts=ANY_JOINT, strengths={"limit_Nm": Span(2.0, 20.0)}),
@@ -170,7 +189,7 @@ WEAK_ENDS: Mapping[str, float] = {"factor": 1.0, "limit_Nm": 87.0, "share_percen
 """Where a strength does nothing any more, if that is not at zero: all of a torque or of the time, the largest of
 an arm's limits."""
 
-NOT_DRAWN = ("start", "continue", "join", "bump")
+NOT_DRAWN = ("start", "continue", "reconnect", "join", "bump")
 """Kinds that undo a fault, that need a world of their own, or that are another word for a kind above."""
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from deploy.chaos.bench_commands import app as bench_app
+from deploy.chaos.fuzz.commands import app as fuzz_app
 from deploy.exit_status import COULD_NOT_RUN
 from wire.errors import CredentialError
 
@@ -18,6 +19,7 @@ Engine = Literal["docker"]
 
 app = typer.Typer(help="Attack a run on purpose, and see what holds.", no_args_is_help=True)
 app.add_typer(bench_app)
+app.add_typer(fuzz_app)
 
 
 @app.command()
@@ -92,7 +94,7 @@ def deeds(
     ] = None,
     wait_s: Annotated[float, typer.Option("--wait-s", min=0.0, help="Wait so long for the simulator.")] = 60.0,
 ) -> None:
-    """Do to containers what the scenario of a run wants done to processes: kill, stop, continue, start, leave.
+    """Do to containers what the scenario of a run wants done to processes.
 
     Ends with the simulator: status 0, or 3 if a deed could not be done.
     """

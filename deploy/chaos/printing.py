@@ -15,13 +15,13 @@ from deploy.report import VERDICT_STYLE, plain_table
 
 
 @contextmanager
-def runs_bar(console: Console) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar of runs; gives what is told how many are there, and how many there are to be."""
+def runs_bar(console: Console, what: str = "runs") -> Iterator[Callable[[int, int], None]]:
+    """A progress bar; gives what is told how many are there, and how many there are to be."""
     bar = Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console
     )
     with bar:
-        task = bar.add_task("runs", total=None)
+        task = bar.add_task(what, total=None)
         yield lambda there, total: bar.update(task, completed=there, total=total)
 
 

@@ -41,7 +41,7 @@ def paper(
     ray_address: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the Ray cluster.")] = None,
 ) -> None:
     """Run every experiment of the paper's section VI, and set its claims beside what was measured."""
-    from deploy.batch import LocalEngine, RayEngine, missing, run_missing
+    from deploy.batch import engine_of, missing, run_missing
     from deploy.paper.making import make_report
     from deploy.report import PatientConsole
 
@@ -51,7 +51,7 @@ def paper(
     wanted = [run for run in planned if run.group in groups and run.law in laws]
     _check_place(out)
     console = PatientConsole()
-    where = RayEngine(ray_address) if engine == "ray" else LocalEngine(at_once)
+    where = engine_of(engine, at_once, ray_address)
     bar = Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console
     )

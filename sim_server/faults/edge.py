@@ -2,8 +2,8 @@
 
 Payloads go through the faults of their arm and direction in the order in which those began. In lock-step nobody may
 wait for an answer that will not come, so the edge follows what the arm's agent has got: by the rules of the wire it
-answers a state exactly if that fits and is newer than all before (docs/wire.md). An arm without faults is
-not looked at.
+answers a state exactly if that fits and is newer than all before (docs/wire.md). So does the leader, under the name
+``leader``, with its views. An agent without faults is not looked at.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from collections.abc import Mapping, Sequence
 from sim_server.faults import delays, losses, spoiled
 from sim_server.faults.event import Seen
 from sim_server.faults.message import Direction, MessageEffect, MessageEvent
+from sim_server.reception import LEADER
 from sim_server.snapshot import Snapshot
 from wire.codec import decode
 from wire.errors import Refused
-from wire.messages import Command, State
+from wire.messages import Command, LeaderForce, LeaderView, State
 
 EFFECTS: Mapping[type[MessageEvent], type[MessageEffect]] = {
     **delays.EFFECTS,
@@ -38,7 +39,7 @@ class Edge:
         self._effects: list[MessageEffect] = []
         self._begun = 0
         self.troubled: set[str] = set()
-        """Arms with a fault, or whose agents still suffer from one."""
+        """Arms (and the leader) with a fault, or whose agents still suffer from one."""
         self._newest: dict[str, tuple[int, int]] = {}
         """Lease of the instance that gets an arm's states, and the newest tick that it has taken for good."""
         self._expected: dict[str, int | None] = {}
@@ -55,12 +56,16 @@ class Edge:
     def _effect(self, event: MessageEvent, number: int, end: int | None) -> MessageEffect:
         return EFFECTS[type(event)](event, self._seed, number, end)
 
-    def send(self, arm: str, tick: int, lease: int, joints: int, payload: bytes) -> tuple[list[bytes], bool]:
-        """What goes out to the agent of an arm in trouble in place of its state, and whether it will answer."""
+    def send(self, arm: str, tick: int, lease: int, joints: int, payload: bytes | None) -> tuple[list[bytes], bool]:
+        """What goes out to the agent of an arm in trouble in place of its state, and whether it will answer.
+
+        Without a state of this tick: what was held until now. An arm has one at every tick, the leader has not.
+        """
         self._newest.setdefault(arm, (lease, tick - 1))  # until now it has taken every state
-        out = self._through(arm, "to", tick, [payload], release=True)
+        out = self._through(arm, "to", tick, [] if payload is None else [payload], release=True)
         taken = [fits for each in out if (fits := self._taken(arm, lease, joints, each)) is not None]
-        self._expected[arm] = taken[-1] if taken else None
+        if taken or payload is not None:
+            self._expected[arm] = taken[-1] if taken else None
         return out, bool(taken)
 
     def receive(self, arm: str, tick: int, payload: bytes) -> list[bytes]:
@@ -74,7 +79,7 @@ class Edge:
     def is_last(self, arm: str, payload: bytes) -> bool:
         """Whether nothing more will come after this command, as it came from the agent of an arm in trouble."""
         try:
-            answers = decode(payload, Command).tick
+            answers = decode(payload, LeaderForce).tick if arm == LEADER else decode(payload, Command).tick
         except Refused:
             return False
         expected = self._expected.get(arm)
@@ -118,15 +123,19 @@ class Edge:
         to, newest = self._newest[arm]
         if to != lease:
             newest = -1
+        told: State | LeaderView
         try:
-            state = decode(payload, State)
+            told = decode(payload, LeaderView) if arm == LEADER else decode(payload, State)
         except Refused:
             return None
-        fits = state.arm == arm and all(len(vector) == joints for vector in (state.q, state.qd, state.tau))
-        if not fits or state.tick <= newest:
+        if isinstance(told, State) and not (
+            told.arm == arm and all(len(vector) == joints for vector in (told.q, told.qd, told.tau))
+        ):
             return None
-        self._newest[arm] = lease, state.tick
-        return state.tick
+        if told.tick <= newest:
+            return None
+        self._newest[arm] = lease, told.tick
+        return told.tick
 
     def state(self) -> Snapshot:
         """The faults that go on. What agents have got is not in it: after a restart they are others."""

@@ -25,9 +25,10 @@ Direction = Literal["to", "from"]
 
 
 class MessageEvent(Lasting):
-    """A fault of the messages to one arm's agent (its states), or from it (its commands)."""
+    """A fault of the messages to one arm's agent (its states), or from it (its commands); or of the leader's."""
 
     arm: str
+    """Its name, or ``leader``, whose messages are the views that it is sent and the pulls that come from it."""
     direction: Direction
     """Seen from the simulator: ``to`` the agent, or ``from`` it."""
     probability: Probability = 1.0

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from sim_server.faults.event import Event, Fault, Positive
 
-Verb = Literal["kill", "stop", "continue", "start", "leave", "hang"]
+Verb = Literal["kill", "stop", "continue", "start", "leave", "hang", "disconnect", "reconnect"]
 AnyVerb = Literal[Verb, "slow"]
 """What the launcher can be asked for."""
 
@@ -29,7 +29,7 @@ class ProcessEvent(ToProcess):
 
     ``leave``: SIGTERM, at which it puts down what it carries, drives clear and says goodbye. ``start``: a new process
     (an old one of that name that is still there is ended first). ``hang``: its control loop stands still, and all its
-    other threads go on.
+    other threads go on. ``disconnect``: its link to the simulator is cut. ``reconnect``: the link is there again.
     """
 
     kind: Verb
@@ -75,8 +75,8 @@ FAULTS = (
         "hang",
         "process",
         ProcessEvent,
-        "its control loop stands still, its other threads (the transport's) go on; nobody tells the clock",
-        "the kernel has stopped that thread, and the sign of life is there",
+        "the thread that works out its answers stands still, its others go on; nobody tells the clock",
+        "the kernel has stopped that thread, and the sign of life is still there",
     ),
     Fault(
         "slow",
@@ -91,6 +91,20 @@ FAULTS = (
         ProcessEvent,
         "SIGCONT, or the end of a `hang` or a `slow`",
         "the kernel says that it goes on",
+    ),
+    Fault(
+        "disconnect",
+        "process",
+        ProcessEvent,
+        "its link to the simulator is cut, and stays so; it lives on, and waits for the simulator",
+        "its sign of life is gone",
+    ),
+    Fault(
+        "reconnect",
+        "process",
+        ProcessEvent,
+        "the link is there again, and the agent greets anew",
+        "it has greeted and its links are up",
     ),
     Fault(
         "start",

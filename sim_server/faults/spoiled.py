@@ -15,10 +15,11 @@ from pydantic import Field
 
 from sim_server.faults.event import Count, Fault
 from sim_server.faults.message import Corruption, MessageEffect, MessageEvent
+from sim_server.reception import LEADER
 from sim_server.snapshot import Snapshot
 from wire.codec import decode_any, encode
 from wire.errors import Refused
-from wire.messages import Command, State, Vector
+from wire.messages import Command, LeaderForce, LeaderView, State, Vector
 
 
 class Stale(MessageEvent):
@@ -42,7 +43,8 @@ class BitFlip(MessageEvent):
 
 
 class NotANumber(MessageEvent):
-    """One number of a message is NaN: a joint position of a state, a torque of a command; which one is drawn."""
+    """One number of a message is NaN: a joint position of a state, a torque of a command, a coordinate of the load in
+    a view, a component of a pull; which one is drawn."""
 
     kind: Literal["nan"]
 
@@ -53,6 +55,11 @@ class WrongArm(MessageEvent):
     kind: Literal["wrong_arm"]
     name: Annotated[str, Field(pattern=r"^a[1-9][0-9]{0,2}$")]
     """Whose."""
+
+    def problem(self) -> tuple[str, str] | None:
+        if self.arm == LEADER:
+            return "arm", "the leader's messages bear no arm's name; expected an arm"
+        return None
 
 
 class StaleEffect(MessageEffect):
@@ -107,6 +114,10 @@ class NotANumberEffect(Corruption):
             return [encode(structs.replace(message, q=_with_nan(message.q, rng)))]
         if isinstance(message, Command):
             return [encode(structs.replace(message, torque=_with_nan(message.torque, rng), step_ns=0))]
+        if isinstance(message, LeaderView):
+            return [encode(structs.replace(message, position=_with_nan(message.position, rng)))]
+        if isinstance(message, LeaderForce):
+            return [encode(structs.replace(message, force=_with_nan(message.force, rng)))]
         return None
 
 
@@ -116,7 +127,9 @@ class WrongArmEffect(Corruption):
 
     def act(self, payload: bytes, tick: int, rng: np.random.Generator) -> list[bytes] | None:
         message = _whole(timeless(payload))
-        return None if message is None else [encode(structs.replace(message, arm=self.event.name))]
+        if not isinstance(message, State | Command):
+            return None
+        return [encode(structs.replace(message, arm=self.event.name))]
 
 
 def timeless(payload: bytes) -> bytes:
@@ -125,13 +138,13 @@ def timeless(payload: bytes) -> bytes:
     return encode(structs.replace(message, step_ns=0)) if isinstance(message, Command) else payload
 
 
-def _whole(payload: bytes) -> State | Command | None:
+def _whole(payload: bytes) -> State | Command | LeaderView | LeaderForce | None:
     """The message, or None if another fault has spoiled it already."""
     try:
         message = decode_any(payload)
     except Refused:
         return None
-    return message if isinstance(message, State | Command) else None
+    return message if isinstance(message, State | Command | LeaderView | LeaderForce) else None
 
 
 def _with_nan(vector: Vector, rng: np.random.Generator) -> Vector:
@@ -159,7 +172,7 @@ FAULTS = (
         "nan",
         "message",
         NotANumber,
-        "has a NaN for one joint position (state) or torque (command)",
+        "has a NaN for one joint position (state) or torque (command); of the leader's, for a coordinate or a force",
         "how many had a NaN; refused as what",
     ),
     Fault("wrong_arm", "message", WrongArm, "bears the name `name`", "how many bore it"),

@@ -1,0 +1,1 @@
+"""A million messages that are not what they should be, at everything that takes messages in."""
