@@ -21,12 +21,12 @@ from deploy.bench.watching import NO_RECORDER, can_record
 from sim_server.run_folder import write_json
 
 ROWS = {
-    "controller": {"step, as it ships, p50", "plain numpy, terms too, p99", "Pinocchio's terms alone, p50"},
-    "physics": {"plant step, p50", "mj_step alone, p99", "plant step / mj_step alone"},
+    "controller": {"step as shipped, p50", "numpy alone, p99", "Pinocchio's terms, p50"},
+    "physics": {"plant step, p50", "mj_step, p99", "plant step / mj_step"},
     "lock-step": {"Palanquin", "bare Zenoh", "raw Unix sockets", "Palanquin / bare Zenoh"},
-    "growth": {"ticks/s times arms", "one tick", "the line / measured"},
+    "growth": {"ticks/s times arms", "one tick", "line / measured"},
     "real-time": {"missed", "commands in time", "oldest command", "late, p99", "simulated time / wall time"},
-    "start-up": {"command to first tick", "a follower: start to first command", "a follower's imports"},
+    "start-up": {"to the first tick", "join to first command", "a follower's imports"},
     "memory": {"simulator, RSS", "a follower, RSS", "all processes, RSS"},
     "watching": {"audited, not recorded", "neither", "audited / not"},
 }
@@ -101,7 +101,7 @@ def test_the_command_writes_a_file_that_compares_with_itself(tmp_path: Path) -> 
     [
         (("physic",), "physic: expected one of controller, physics"),
         (("real-time", "--rate", "300"), "--rate 300: expected one of 250, 500, 1000"),
-        (("--arms", "17"), "17 is not in the range"),
+        (("--arms", "17"), "should be less than or equal to 16"),
         (("controller", "--out", "nowhere/b.json"), "nowhere/b.json: no file can be written there"),
         (("controller", "--out", "."), "a folder, expected the name of a file"),
         (("--compare", "none.json", "none.json"), "none.json cannot be read"),

@@ -17,10 +17,10 @@ from agents.follower import Follower, FollowerSettings
 from deploy.bench.carry import CarryFailed
 from deploy.bench.comparison import compared
 from deploy.bench.figures import RATIO, Figure, NoBenchFile, Part, Samples, as_file, percentile, read_file
-from deploy.bench.lock_step import straight_line
-from deploy.bench.memory_of import memory_of
+from deploy.bench.growth import Cost, straight_line, tick_us
 from deploy.bench.physics import Carrying
 from deploy.bench.plan import team_of
+from deploy.bench.process_cost import memory_of
 from deploy.bench.rigs import talks_of
 from deploy.bench.start_up import EventClock
 from deploy.bench.timing import CHUNK, times_us
@@ -62,11 +62,11 @@ def figure(values: tuple[float, ...], unit: str = RATIO, better: str = "more") -
         ((1.2, 1.3), (1.0, 1.1), "more", "worse"),
         ((1.2, 1.3), (1.0, 1.1), "less", "better"),
         ((1.0, 1.2), (1.1, 1.3), "more", "same"),
-        ((1.0, 1.1), (9.0, 9.1), "", "not to be compared"),
+        ((1.0, 1.1), (9.0, 9.1), "", None),
     ],
 )
 def test_a_ratio_has_changed_only_if_the_ranges_do_not_meet(
-    old: tuple[float, ...], new: tuple[float, ...], better: str, judged: str
+    old: tuple[float, ...], new: tuple[float, ...], better: str, judged: str | None
 ) -> None:
     (row,) = compared(figure(old, better=better), figure(new, better=better))
     assert row.judged == judged
@@ -75,7 +75,7 @@ def test_a_ratio_has_changed_only_if_the_ranges_do_not_meet(
 
 def test_a_time_is_never_judged() -> None:
     (row,) = compared(figure((1.0,), "us", "less"), figure((9.0,), "us", "less"))
-    assert row.judged == "not to be compared"
+    assert row.judged is None
 
 
 def test_files_without_a_common_figure_cannot_be_compared() -> None:
@@ -112,6 +112,12 @@ def test_a_straight_line_is_found_again() -> None:
     a, b = straight_line({N: 200.0 + 150.0 * N for N in (1, 2, 4, 16)})
     assert a == pytest.approx(200.0)
     assert b == pytest.approx(150.0)
+
+
+def test_the_model_shares_among_the_cores_what_is_not_the_simulators_own() -> None:
+    cost = Cost(arms=4, tick=0.0, own=100.0, simulator=150.0, follower=40.0, leader=10.0)
+    assert tick_us(cost, 1) == pytest.approx(150.0 + 4 * 40.0 + 10.0)
+    assert tick_us(cost, 2) == pytest.approx(100.0 + 110.0)
 
 
 def test_actions_are_called_in_turns_and_as_often_as_asked() -> None:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deploy.bench.memory_of import Memory, memory_of
 from deploy.bench.plan import TeamOf
+from deploy.bench.process_cost import Memory, cpu_s_of, memory_of
 from deploy.exit_status import COULD_NOT_RUN
 from deploy.launcher import Launcher, everybody
 from deploy.see.viewing import RECORDING
@@ -48,6 +48,8 @@ class Carry:
     """As in run.json."""
     memory: Mapping[str, Memory]
     """Of every process, in the middle of it."""
+    cpu_us: Mapping[str, float]
+    """Processor time of every process, us per tick; empty where it is not told."""
     lost: tuple[str, ...]
     """Agents that were lost on the way."""
 
@@ -59,20 +61,31 @@ class Carry:
 
 @dataclass(slots=True)
 class Watch:
-    """Takes the memory of all processes in the middle of a carry, and ends it when it has had its time."""
+    """Takes the memory of all processes in the middle of a carry, and their processor times from its first report to
+    its last, and ends it when it has had its time."""
 
     seconds: float
     launcher: BenchLauncher
     memory: dict[str, Memory] = field(default_factory=dict)
+    first: tuple[int, dict[str, float]] | None = None
+    """Tick and processor times, s."""
+    cpu_us: dict[str, float] = field(default_factory=dict)
+    """Per tick."""
 
     def show(self, progress: Progress) -> None:
         """What the launcher calls with every report. Raises :class:`_Enough`."""
         if progress.phase != "running" or not progress.real_time_factor:
             return
         wall_s = progress.time_s / progress.real_time_factor
+        if self.first is None:
+            self.first = progress.tick, self.launcher.cpu_s()
         if not self.memory and wall_s >= 0.5 * self.seconds:
             self.memory = self.launcher.memory()
         if wall_s >= self.seconds:
+            tick, before = self.first
+            ticks = progress.tick - tick
+            now = self.launcher.cpu_s() if ticks else {}
+            self.cpu_us = {name: 1e6 * (used - before.get(name, used)) / ticks for name, used in now.items()}
             raise _Enough
 
 
@@ -101,6 +114,11 @@ class BenchLauncher(Launcher):
         """Of every process that is there, by name."""
         found = {child.name: memory_of(child.process.pid) for child in self._children if child.process.poll() is None}
         return {name: memory for name, memory in found.items() if memory is not None}
+
+    def cpu_s(self) -> dict[str, float]:
+        """Processor time of every process that is there so far, s, by name."""
+        found = {child.name: cpu_s_of(child.process.pid) for child in self._children if child.process.poll() is None}
+        return {name: used for name, used in found.items() if used is not None}
 
 
 def carry(
@@ -155,7 +173,7 @@ def carry(
     if not run["ended"]["ticks"] or not measured["wall_s"]:
         raise CarryFailed(f"a carry was stopped before its first tick: {run['ended']['why']}")
     lost = tuple(name for name, agent in run["agents"].items() if agent["phase"] == "lost")
-    return Carry(int(run["ended"]["ticks"]), float(measured["wall_s"]), measured, watch.memory, lost)
+    return Carry(int(run["ended"]["ticks"]), float(measured["wall_s"]), measured, watch.memory, watch.cpu_us, lost)
 
 
 def _flat(changes: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -83,11 +83,10 @@ def _measure(wanted: list[str], plan: Plan, out: Path | None) -> None:
     from deploy.bench.figures import Part, as_file
     from deploy.bench.machine import describe_machine
     from deploy.bench.parts import run_parts
-    from deploy.bench.tables import print_machine, print_part
-    from deploy.report import PatientConsole
+    from deploy.bench.tables import bench_console, print_machine, print_part
     from sim_server.run_folder import write_json
 
-    console, machine, done = PatientConsole(), describe_machine(), list[Part]()
+    console, machine, done = bench_console(), describe_machine(), list[Part]()
     print_machine(console, machine)
     with console.status("measuring") as status:
         for part in run_parts(wanted, plan, status.update):
@@ -102,11 +101,10 @@ def _measure(wanted: list[str], plan: Plan, out: Path | None) -> None:
 def _compare(old: Path, new: Path) -> None:
     from deploy.bench.comparison import compared
     from deploy.bench.figures import read_file
-    from deploy.bench.tables import print_comparison
-    from deploy.report import PatientConsole
+    from deploy.bench.tables import bench_console, print_comparison
 
     (old_machine, before), (new_machine, after) = read_file(old), read_file(new)
-    print_comparison(PatientConsole(), compared(before, after), old_machine, new_machine)
+    print_comparison(bench_console(), compared(before, after), old_machine, new_machine)
 
 
 def _check_place(out: Path) -> None:

@@ -8,7 +8,8 @@ from typing import Literal
 
 from deploy.bench.figures import RATIO, Figure, NoBenchFile, Part
 
-Judged = Literal["better", "worse", "same", "not to be compared"]
+Judged = Literal["better", "worse", "same"] | None
+"""None: not to be compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,7 @@ class Compared:
     def judged(self) -> Judged:
         """``same`` unless the ranges of the turns do not meet."""
         if self.old.unit != RATIO or not self.old.better:
-            return "not to be compared"
+            return None
         if self.new.low > self.old.high:
             return "better" if self.old.better == "more" else "worse"
         if self.new.high < self.old.low:

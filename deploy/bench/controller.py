@@ -26,12 +26,8 @@ DT_S = 1e-3
 SLOW_PART = 4
 """Plain numpy is so slow that a fraction of the calls has to do."""
 
-STEP, WITH_PINOCCHIO, PLAIN, TERMS = (
-    "step, as it ships",
-    "plain numpy, terms by Pinocchio",
-    "plain numpy, terms too",
-    "Pinocchio's terms alone",
-)
+STEP, TERMS = "step as shipped", "Pinocchio's terms"
+WITH_PINOCCHIO, PLAIN = "numpy and Pinocchio", "numpy alone"
 
 
 def at_work() -> Sensed:
@@ -92,8 +88,8 @@ def measure_controller(plan: Plan, tell: Callable[[str], None]) -> Part:
             tell(f"turn {k + 1} of {plan.turns}, {law}")
             _add(samples, law, times_of(actions, plan.calls))
     said = (
-        "Plain numpy: the same equations (the functions that are traced), called on arrays, with the arm's terms by "
-        "Pinocchio or in numpy as well.",
+        "Numpy: the same equations (the functions that are traced), called on arrays; the arm's terms by Pinocchio, or "
+        "in numpy as well. The preset palanquin works them out itself.",
         f"Making a controller, traced and compiled, takes {1e3 * _making_s(arm):.0f} ms.",
     )
     return Part("controller", "One step of a law, warm", samples.figures(), said)

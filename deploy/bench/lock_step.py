@@ -6,9 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-import numpy as np
-
-from deploy.bench.carry import RECORD_EVERY_MS, Carry, carry
+from deploy.bench.carry import RECORD_EVERY_MS, carry
 from deploy.bench.figures import RATIO, Part, Samples
 from deploy.bench.plan import Plan, arms_text, team_of
 from deploy.bench.rigs import NO_PEER, TRANSPORTS, Rig, has_peer
@@ -75,43 +73,3 @@ def _add(samples: Samples, count: int, turn: Turn) -> None:
     if PEER in bare:
         samples.ratio(f"{ZENOH} / {PEER}", column, bare[ZENOH], bare[PEER], "more")
     samples.ratio(f"{ZENOH} / {FLOOR}", column, bare[ZENOH], bare[FLOOR], "more")
-
-
-def measure_growth(plan: Plan, tell: Tell) -> Part:
-    """How the cost grows with the team: every size in every turn, and a straight line through the times of a tick."""
-    samples = Samples()
-    for k in range(plan.turns):
-        tick_us: dict[int, float] = {}
-        for count in plan.arms:
-            tell(f"turn {k + 1} of {plan.turns}, {arms_text(count)}")
-            found: Carry = carry(team_of(count), plan.seconds)
-            tick_us[count] = 1e6 / found.ticks_per_s
-            samples.add("ticks/s", arms_text(count), "ticks/s", found.ticks_per_s, "more")
-        for count, us in tick_us.items():
-            samples.add("ticks/s times arms", arms_text(count), "ticks/s", count * 1e6 / us, "more")
-        for count, us in tick_us.items():
-            samples.add("one tick", arms_text(count), "us", us, "less")
-        if len(tick_us) > 1:
-            _add_line(samples, tick_us)
-    return Part(
-        "growth",
-        "Growth with the number of arms",
-        samples.figures(),
-        ("The line: time of a tick = a + b times arms, least squares of relative errors in each turn.",),
-    )
-
-
-def straight_line(tick_us: Mapping[int, float]) -> tuple[float, float]:
-    """a and b of ``a + b N``, us, that make the sum of squared relative errors least. For two sizes or more."""
-    N, us = np.array(list(tick_us), float), np.array(list(tick_us.values()))
-    (a, b), *_ = np.linalg.lstsq(np.stack([1 / us, N / us], axis=1), np.ones(len(us)), rcond=None)
-    return float(a), float(b)
-
-
-def _add_line(samples: Samples, tick_us: Mapping[int, float]) -> None:
-    a, b = straight_line(tick_us)
-    first = arms_text(next(iter(tick_us)))
-    samples.add("the line's a", first, "us", a, positive=False)
-    samples.add("the line's b, per arm", first, "us", b, positive=False)
-    for count, us in tick_us.items():
-        samples.ratio("the line / measured", arms_text(count), a + b * count, us)

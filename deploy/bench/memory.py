@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from deploy.bench.carry import carry
 from deploy.bench.figures import Part, Samples
-from deploy.bench.memory_of import Memory
 from deploy.bench.plan import Plan, arms_text, team_of
+from deploy.bench.process_cost import Memory
 
 NO_PSS = "PSS is left out: the kernel does not tell it of processes that we may not trace."
 NO_PROC = "Memory is left out: only Linux tells it (/proc)."

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from deploy.bench.controller import measure_controller
 from deploy.bench.figures import Part
-from deploy.bench.lock_step import measure_growth, measure_lock_step
+from deploy.bench.growth import measure_growth
+from deploy.bench.lock_step import measure_lock_step
 from deploy.bench.memory import measure_memory
 from deploy.bench.physics import measure_physics
 from deploy.bench.plan import Plan

@@ -18,7 +18,7 @@ from sim_server.mujoco_plant import MujocoPlant
 from sim_server.scene import BareStep
 from sim_server.world import build_world
 
-PLANT, MUJOCO, SENSORS = "plant step", "mj_step alone", "sensors"
+PLANT, MUJOCO, SENSORS = "plant step", "mj_step", "read all sensors"
 
 
 class Carrying:

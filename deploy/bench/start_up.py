@@ -73,16 +73,16 @@ def measure_start_up(plan: Plan, tell: Callable[[str], None]) -> Part:
         samples.add("a follower's imports", column, "s", imports_s, "less")
         for name, seconds in found.items():
             samples.add(name, column, "s", seconds, "less")
-        samples.ratio(f"{FIRST_TICK} / a follower's imports", column, found[FIRST_TICK], imports_s, "less")
-        samples.ratio(f"{JOIN} / a follower's imports", column, found[JOIN], imports_s, "less")
+        samples.ratio("first tick / imports", column, found[FIRST_TICK], imports_s, "less")
+        samples.ratio("join / imports", column, found[JOIN], imports_s, "less")
     said = (
-        "A follower's start: its process is started in a run whose clock waits for it, until it is let in; it answers "
-        "that very tick.",
+        "Join: a follower's process is started in a run whose clock waits for it, until it is let in; it answers that "
+        "very tick. Imports: what a follower loads.",
     )
     return Part("start-up", "Start-up", samples.figures(), said)
 
 
-FIRST_TICK, JOIN, WHOLE = "command to first tick", "a follower: start to first command", "the whole command, 150 ticks"
+FIRST_TICK, JOIN, WHOLE = "to the first tick", "join to first command", "whole command, 150 ticks"
 
 
 def timed_run(arms: int) -> dict[str, float]:

@@ -9,9 +9,18 @@ from rich.console import Console
 from deploy.bench.comparison import Compared
 from deploy.bench.figures import RATIO, Figure, Part
 from deploy.bench.machine import machine_text
-from deploy.report import plain_table
+from deploy.report import PatientConsole, plain_table
 
-STYLE = {"better": "green", "worse": "bold red", "same": "", "not to be compared": "dim"}
+WIDTH = 150
+STYLE = {"better": "green", "worse": "bold red", "same": "", None: "dim"}
+
+
+def bench_console() -> Console:
+    """A console whose tables are whole in a file or a pipe too."""
+    console = PatientConsole()
+    if not console.is_terminal:
+        console.width = max(console.width, WIDTH)
+    return console
 
 
 def print_machine(console: Console, machine: dict[str, Any]) -> None:
@@ -53,12 +62,14 @@ def print_comparison(console: Console, rows: list[Compared], old: dict[str, Any]
     """The figures that both files have."""
     for name, machine in (("old", old), ("new", new)):
         console.print(f"{name}: {machine_text(machine)}", soft_wrap=True, highlight=False, markup=False)
-    table = plain_table("figure", "unit", "old", "new", "new / old", "", right=("old", "new", "new / old"))
-    for row in rows:
-        change = "" if row.change is None else f"{row.change:.2f}"
-        cells = [short(row.old.value), short(row.new.value), change, row.judged]
-        table.add_row(f"{row.part}: {row.old.row}, {row.old.column}", row.old.unit, *cells, style=STYLE[row.judged])
-    console.print(table, highlight=False, markup=False)
+    for part in dict.fromkeys(row.part for row in rows):
+        table = plain_table(part, "", "unit", "old", "new", "new/old", "", right=("old", "new", "new/old"))
+        for row in (each for each in rows if each.part == part):
+            change = "" if row.change is None else f"{row.change:.2f}"
+            cells = [row.old.unit, short(row.old.value), short(row.new.value), change, row.judged or ""]
+            table.add_row(row.old.row, row.old.column, *cells, style=STYLE[row.judged])
+        console.print()
+        console.print(table, highlight=False, markup=False)
     console.print(
         f"Only ratios ({RATIO}) can be compared between two runs: times move with the machine. Better or worse: the "
         "ranges of the turns do not meet.",
