@@ -17,7 +17,7 @@ from agents.follower import Follower, FollowerSettings
 from deploy.bench.carry import CarryFailed
 from deploy.bench.comparison import compared
 from deploy.bench.figures import RATIO, Figure, NoBenchFile, Part, Samples, as_file, percentile, read_file
-from deploy.bench.growth import Cost, straight_line, tick_us
+from deploy.bench.growth import Cost, straight_line, tick_us, tick_us_apart
 from deploy.bench.physics import Carrying
 from deploy.bench.plan import team_of
 from deploy.bench.process_cost import memory_of
@@ -118,6 +118,8 @@ def test_the_model_shares_among_the_cores_what_is_not_the_simulators_own() -> No
     cost = Cost(arms=4, tick=0.0, own=100.0, simulator=150.0, follower=40.0, leader=10.0)
     assert tick_us(cost, 1) == pytest.approx(150.0 + 4 * 40.0 + 10.0)
     assert tick_us(cost, 2) == pytest.approx(100.0 + 110.0)
+    assert tick_us_apart(cost, 2, 1, 300.0) == pytest.approx(150.0 + 2 * 40.0 + 300.0)
+    assert tick_us_apart(cost, 2, 2, 0.0) == tick_us_apart(cost, 2, 9, 0.0) == pytest.approx(150.0 + 40.0)
 
 
 def test_actions_are_called_in_turns_and_as_often_as_asked() -> None:

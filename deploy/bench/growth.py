@@ -6,6 +6,7 @@ import os
 import statistics
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from deploy.bench.plan import Plan, arms_text, team_of
 
 OWN_PARTS = ("send", "step")
 """Of a tick: what the simulator does while all others wait for it."""
+
+OWN = "the simulator's own parts"
+SIMULATOR, FOLLOWER, LEADER, ALL = (f"processor time: {who}" for who in ("simulator", "a follower", "leader", "all"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +57,15 @@ def tick_us(cost: Cost, cores: int) -> float:
     return cost.own + rest / cores
 
 
+def tick_us_apart(cost: Cost, cores: int, machines: int, round_trip_us: float) -> float:
+    """The model with the simulator on a machine of its own and the followers on others, us.
+
+    ``T = U + ceil(N / (M K)) F + R``: M machines of K cores for the followers, and R the network's round trip beyond
+    that of one machine.
+    """
+    return cost.simulator + ceil(cost.arms / (machines * cores)) * cost.follower + round_trip_us
+
+
 def measure_growth(plan: Plan, tell: Callable[[str], None]) -> Part:
     """Every size of team in every turn."""
     samples = Samples()
@@ -85,11 +98,12 @@ def _add(samples: Samples, found: Mapping[int, Carry], cores: int) -> None:
         cost = cost_of(each, count)
         if cost is not None:
             everybody = sum(each.cpu_us.values())
-            samples.add("the simulator's own parts", column, "us", cost.own, "less")
-            samples.add("processor time: simulator", column, "us", cost.simulator, "less", positive=False)
-            samples.add("processor time: a follower", column, "us", cost.follower, "less", positive=False)
-            samples.add("processor time: all", column, "us", everybody, "less", positive=False)
-            samples.ratio("processor time: all / one tick", column, everybody, cost.tick)
+            samples.add(OWN, column, "us", cost.own, "less")
+            samples.add(SIMULATOR, column, "us", cost.simulator, "less", positive=False)
+            samples.add(FOLLOWER, column, "us", cost.follower, "less", positive=False)
+            samples.add(LEADER, column, "us", cost.leader, "less", positive=False)
+            samples.add(ALL, column, "us", everybody, "less", positive=False)
+            samples.ratio(f"{ALL} / one tick", column, everybody, cost.tick)
             samples.ratio("model / measured", column, tick_us(cost, cores), cost.tick)
     if len(found) > 1:
         a, b = straight_line(ticks_us)
@@ -98,6 +112,16 @@ def _add(samples: Samples, found: Mapping[int, Carry], cores: int) -> None:
         samples.add("the line's b, per arm", first, "us", b, positive=False)
         for count, us in ticks_us.items():
             samples.add("line / measured", arms_text(count), "x", (a + b * count) / us, positive=False)
+
+
+def costs_in(part: Part) -> list[Cost]:
+    """The costs that a part ``growth`` tells: medians, one for each size of team."""
+    rows = {(figure.row, figure.column): figure.value for figure in part.figures}
+    columns = {column: int(column.split()[0]) for row, column in rows if row == OWN}
+    return [
+        Cost(count, *(rows[row, column] for row in ("one tick", OWN, SIMULATOR, FOLLOWER, LEADER)))
+        for column, count in columns.items()
+    ]
 
 
 def straight_line(ticks_us: Mapping[int, float]) -> tuple[float, float]:
