@@ -118,6 +118,7 @@ def test_the_model_shares_among_the_cores_what_is_not_the_simulators_own() -> No
     cost = Cost(arms=4, tick=0.0, own=100.0, simulator=150.0, follower=40.0, leader=10.0)
     assert tick_us(cost, 1) == pytest.approx(150.0 + 4 * 40.0 + 10.0)
     assert tick_us(cost, 2) == pytest.approx(100.0 + 110.0)
+    assert tick_us(cost, 2, 30.0) == pytest.approx(240.0)
     assert tick_us_apart(cost, 2, 1, 300.0) == pytest.approx(150.0 + 2 * 40.0 + 300.0)
     assert tick_us_apart(cost, 2, 2, 0.0) == tick_us_apart(cost, 2, 9, 0.0) == pytest.approx(150.0 + 40.0)
 

@@ -11,7 +11,7 @@ from math import ceil
 import numpy as np
 
 from deploy.bench.carry import Carry, carry
-from deploy.bench.figures import Part, Samples
+from deploy.bench.figures import RATIO, Part, Samples
 from deploy.bench.plan import Plan, arms_text, team_of
 
 OWN_PARTS = ("send", "step")
@@ -47,23 +47,23 @@ def cost_of(found: Carry, arms: int) -> Cost | None:
     return Cost(arms, 1e6 / found.ticks_per_s, own, cpu["sim"], statistics.fmean(followers), cpu.get("leader", 0.0))
 
 
-def tick_us(cost: Cost, cores: int) -> float:
+def tick_us(cost: Cost, cores: int, waking_us: float = 0.0) -> float:
     """The model, us: the simulator's own parts one after the other, and all other work shared by the cores.
 
-    ``T = P + (U - P + N F + L) / K``: P the simulator's own parts, U all its processor time, F a follower's, L the
-    leader's, N arms, K cores.
+    ``T = w + P + (U - P + N F + L) / K``: P the simulator's own parts, U all its processor time, F a follower's, L the
+    leader's, N arms, K cores; w the time in which nobody works, since processes wake up one after the other.
     """
     rest = max(0.0, cost.simulator - cost.own) + cost.arms * cost.follower + cost.leader
-    return cost.own + rest / cores
+    return waking_us + cost.own + rest / cores
 
 
-def tick_us_apart(cost: Cost, cores: int, machines: int, round_trip_us: float) -> float:
+def tick_us_apart(cost: Cost, cores: int, machines: int, waiting_us: float) -> float:
     """The model with the simulator on a machine of its own and the followers on others, us.
 
-    ``T = U + ceil(N / (M K)) F + R``: M machines of K cores for the followers, and R the network's round trip beyond
-    that of one machine.
+    ``T = w + U + ceil(N / (M K)) F``: M machines of K cores for the followers, and w all waiting, the network's round
+    trip included.
     """
-    return cost.simulator + ceil(cost.arms / (machines * cores)) * cost.follower + round_trip_us
+    return waiting_us + cost.simulator + ceil(cost.arms / (machines * cores)) * cost.follower
 
 
 def measure_growth(plan: Plan, tell: Callable[[str], None]) -> Part:
@@ -82,7 +82,8 @@ def measure_growth(plan: Plan, tell: Callable[[str], None]) -> Part:
         samples.figures(),
         (
             f"The line: time of a tick = a + b times arms. The model: the simulator's own parts (read and send, step), "
-            f"and all other processor time shared by {cores} cores. docs/scale.md.",
+            f"all other processor time shared by {cores} cores, and the time in which nobody works, from the smallest "
+            "team: docs/scale.md.",
         ),
     )
 
@@ -90,12 +91,15 @@ def measure_growth(plan: Plan, tell: Callable[[str], None]) -> Part:
 def _add(samples: Samples, found: Mapping[int, Carry], cores: int) -> None:
     """One turn's figures."""
     ticks_us = {count: 1e6 / each.ticks_per_s for count, each in found.items()}
+    costs = {count: cost for count, each in found.items() if (cost := cost_of(each, count)) is not None}
+    first = next(iter(found))
+    waking_us = costs[first].tick - tick_us(costs[first], cores) if first in costs else 0.0
     for count, each in found.items():
         column = arms_text(count)
         samples.add("ticks/s", column, "ticks/s", each.ticks_per_s, "more")
         samples.add("ticks/s times arms", column, "ticks/s", count * each.ticks_per_s, "more")
         samples.add("one tick", column, "us", ticks_us[count], "less")
-        cost = cost_of(each, count)
+        cost = costs.get(count)
         if cost is not None:
             everybody = sum(each.cpu_us.values())
             samples.add(OWN, column, "us", cost.own, "less")
@@ -104,14 +108,15 @@ def _add(samples: Samples, found: Mapping[int, Carry], cores: int) -> None:
             samples.add(LEADER, column, "us", cost.leader, "less", positive=False)
             samples.add(ALL, column, "us", everybody, "less", positive=False)
             samples.ratio(f"{ALL} / one tick", column, everybody, cost.tick)
-            samples.ratio("model / measured", column, tick_us(cost, cores), cost.tick)
+            model_us = tick_us(cost, cores, waking_us)
+            samples.add("model / measured", column, RATIO, model_us / cost.tick, positive=False)
+    samples.add("nobody works", arms_text(first), "us", waking_us, "less", positive=False)
     if len(found) > 1:
         a, b = straight_line(ticks_us)
-        first = arms_text(next(iter(found)))
-        samples.add("the line's a", first, "us", a, positive=False)
-        samples.add("the line's b, per arm", first, "us", b, positive=False)
+        samples.add("the line's a", arms_text(first), "us", a, positive=False)
+        samples.add("the line's b, per arm", arms_text(first), "us", b, positive=False)
         for count, us in ticks_us.items():
-            samples.add("line / measured", arms_text(count), "x", (a + b * count) / us, positive=False)
+            samples.add("line / measured", arms_text(count), RATIO, (a + b * count) / us, positive=False)
 
 
 def costs_in(part: Part) -> list[Cost]:
