@@ -60,6 +60,7 @@ def test_a_part_in_this_process_gives_its_figures(name: str, tmp_path: Path) -> 
 
 
 @pytest.mark.system
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", [name for name in PARTS if name not in ALONE])
 def test_a_part_with_processes_gives_its_figures(name: str, tmp_path: Path) -> None:
     part = quick(name)

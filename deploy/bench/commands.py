@@ -31,7 +31,11 @@ def bench(
     ] = False,
     arms: Annotated[
         list[int] | None,
-        typer.Option(min=1, max=MOST_ARMS, help="A size of team; may be repeated; 1, 2, 4, 8, 16 by default."),
+        typer.Option(
+            min=1,
+            max=MOST_ARMS,
+            help="A size of team of physics, lock-step and growth; may be repeated; 1, 2, 4, 8, 16.",
+        ),
     ] = None,
     rate: Annotated[
         list[int] | None,

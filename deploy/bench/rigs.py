@@ -15,7 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from deploy.bench.bare import Talk, as_words
+from deploy.bench.bare import as_words
+from deploy.bench.transports import Talk
 from deploy.exit_status import COULD_NOT_RUN
 from deploy.launcher import child_environment
 from wire.codec import encode

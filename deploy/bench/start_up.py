@@ -97,31 +97,44 @@ def timed_run(arms: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory(prefix="palanquin-") as place:
         folder = Path(place) / "run"
         command = [sys.executable, "-m", "deploy.cli", "run", team.scenario, "--no-picture", "--out", str(folder)]
+        command += [word for setting in settings for word in ("--set", setting)]
         clock = EventClock(folder / EVENTS)
         clock.start()
         start = time.perf_counter()
-        process = subprocess.Popen(
-            [*command, *(word for setting in settings for word in ("--set", setting))],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=child_environment(os.environ),
-        )
         try:
-            process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            raise CarryFailed(f"a run of {DURATION_S:g} s has not ended within {END_S:g} s") from None
+            said = _ended(command)
         finally:
-            process.terminate()
-            process.wait()
             end = time.perf_counter()
             clock.stop()
+    if said:
+        raise CarryFailed(f"the run that was to be timed did not come to its end: {said}")
     started = clock.at("ordered", event="start", agent="a1")
     return {
         FIRST_TICK: clock.at("started") - start,
         JOIN: clock.at("seen", event="start", agent="a1") - started,
         WHOLE: end - start,
     }
+
+
+def _ended(command: list[str]) -> str:
+    """Run it to its end; the last line that it says if its run has no verdict, which one of so few ticks may well be
+    violated."""
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env=child_environment(os.environ),
+    )
+    try:
+        _, said = process.communicate(timeout=END_S)
+    except subprocess.TimeoutExpired:
+        return f"it took more than {END_S:g} s"
+    finally:
+        process.terminate()
+        process.wait()
+    lines = said.decode(errors="replace").split("\n")
+    return "" if process.returncode in (0, 1) else next((line for line in reversed(lines) if line), "it said nothing")
 
 
 def seconds_of(code: str) -> float:
