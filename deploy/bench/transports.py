@@ -19,6 +19,8 @@ from typing import Any, Protocol
 ANSWER_S = 10.0
 """Longer than any answer takes; who waits longer has lost a message."""
 CONNECT_S = 60.0
+SETTLED_S = 0.3
+"""Without an answer: none is on its way any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,15 +71,18 @@ class ZenohHub:
         for publisher in self._publishers:
             _wait(publisher.matched)
         for put in self._put:  # the way back takes a moment longer: until everybody has answered once
-            answered = False
-            while not answered:
-                put()
-                with suppress(queue.Empty):
-                    self._inbox.get(timeout=0.2)
-                    answered = True
-        time.sleep(0.2)
-        while not self._inbox.empty():
-            self._inbox.get()
+            _wait(lambda put=put: self._is_answered(put))  # type: ignore[misc]  # cannot infer a lambda with defaults
+        with suppress(queue.Empty):
+            while True:  # answers to what was asked twice
+                self._inbox.get(timeout=SETTLED_S)
+
+    def _is_answered(self, put: Callable[[], None]) -> bool:
+        put()
+        try:
+            self._inbox.get(timeout=SETTLED_S)
+        except queue.Empty:
+            return False
+        return True
 
     def send(self, number: int) -> None:
         self._put[number]()
