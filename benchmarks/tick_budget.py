@@ -1,20 +1,14 @@
 """Where the time of a lock-step tick goes: ``python benchmarks/tick_budget.py [SECONDS [ARMS]]``.
 
 Two tables from one call, so that they can be compared: the parts measured alone and warm, in this process; and the
-parts as they are in a real run of four followers (or ARMS), where every process wakes up to cold caches. Prints,
-asserts nothing.
+parts as they are in a real run of four followers (or ARMS), where every process wakes up to cold caches, for SECONDS of
+wall time. Prints, asserts nothing. What stands beside the whole, and is kept in a file: ``palanquin bench``.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
 import sys
-import tempfile
-import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the launcher does for every process of a run
@@ -28,8 +22,10 @@ from agents.arm_model import ArmModel
 from agents.controllers.interface import Sensed
 from agents.controllers.paper import PaperController
 from agents.follower import Follower, FollowerSettings
+from deploy.bench.carry import carry
+from deploy.bench.plan import TeamOf, team_of
+from deploy.bench.timing import Action, spread_us, times_us
 from sim_server.mujoco_plant import MujocoPlant
-from sim_server.scenario_files import load_scenario
 from sim_server.world import build_world
 from wire.codec import decode, encode
 from wire.messages import Command, State
@@ -37,20 +33,14 @@ from wire.messages import Command, State
 REPEATS = 1000
 
 
-def median_us(action: Callable[[], Any]) -> float:
-    """Median wall time of an action, us, over many repeats after a tenth of them."""
-    times = []
-    for k in range(REPEATS + REPEATS // 10):
-        start = time.perf_counter_ns()
-        action()
-        if k >= REPEATS // 10:
-            times.append(time.perf_counter_ns() - start)
-    return float(np.median(times)) / 1e3
+def median_us(action: Action) -> float:
+    """Median wall time of an action, us."""
+    return spread_us(times_us({"": action}, REPEATS)[""])[0]
 
 
-def warm_parts(changes: dict[str, Any]) -> dict[str, float]:
+def warm_parts(team: TeamOf) -> dict[str, float]:
     """Each part alone, us."""
-    scenario = load_scenario("transport", changes).scenario
+    scenario = team.load().scenario
     world = build_world(scenario)
     plant = MujocoPlant(world)
     follower = Follower(FollowerSettings("bench", "a1", scenario.team.arm, "paper", {}))
@@ -78,32 +68,16 @@ def warm_parts(changes: dict[str, Any]) -> dict[str, float]:
     }
 
 
-def real_run(settings: list[str]) -> dict[str, Any]:
-    """What a real run measured of itself."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "run"
-        palanquin = Path(sys.executable).with_name("palanquin")
-        subprocess.run([palanquin, "run", "transport", *settings, "--out", out], stdout=subprocess.DEVNULL, check=False)
-        measured: dict[str, Any] = json.loads((out / "run.json").read_text())["measured"]
-    return measured
-
-
 def main() -> None:
-    seconds = sys.argv[1] if len(sys.argv) > 1 else "5"
-    arms = sys.argv[2] if len(sys.argv) > 2 else "4"
-    length = max(1.6, 0.45 * int(arms))
-    changes: dict[str, Any] = {
-        "team": {"count": int(arms)},
-        "load": {"struts": int(arms), "size_m": [length, 0.9, 0.75]},
-    }
-    settings = ["--set", f"duration_s={float(seconds)}", "--set", f"team.count={arms}", "--set", f"load.struts={arms}"]
-    settings += ["--set", f"load.size_m=[{length}, 0.9, 0.75]"]
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
+    arms = int(sys.argv[2]) if len(sys.argv) > 2 else 4
+    team = team_of(arms)
     console = Console()
     warm = Table("alone and warm", "median us", title=f"{arms} arms, mujoco {mujoco.__version__}")
-    for name, value in warm_parts(changes).items():
+    for name, value in warm_parts(team).items():
         warm.add_row(name, f"{value:.1f}")
     console.print(warm)
-    measured = real_run(settings)
+    measured: Any = carry(team, seconds).measured
     real = Table("in a real run", "p50 us", "p99 us")
     rows = {"tick": measured["tick_us"], **{f"  {part}": v for part, v in measured["tick_parts_us"].items()}}
     for name, spread in (rows | {"controller step, in the followers": measured["controller_us"]}).items():

@@ -18,6 +18,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from deploy.bench.commands import bench
 from deploy.chaos.commands import app as chaos_app
 from deploy.credentials_cli import credentials, router
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, OF_VERDICT, fail, one_sentence
@@ -128,6 +129,7 @@ def sim(
     out: Annotated[Path | None, typer.Option(help="Run folder; a dated one under runs/ by default.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed.")] = None,
     set_: Settings = None,
+    uncounted: Annotated[bool, typer.Option("--uncounted", hidden=True)] = False,
     with_parent: WithParent = False,
 ) -> None:
     """Start the simulator of a scenario and wait for its agents."""
@@ -153,7 +155,8 @@ def sim(
     ) as link:
         again = None if checkpoint is None else RunFolder.of_a_run(checkpoint.folder)
         folder = again or RunFolder(out or default_folder(Path("runs"), named.name))
-        listening = None if connect_router else parse_endpoint(listen)
+        # Uncounted: `palanquin bench` measures what it costs to count. The audit is then unknown.
+        listening = None if connect_router or uncounted else parse_endpoint(listen)
         server = Server(link, named, name, folder, names_proven=not open_, listening=listening, checkpoint=checkpoint)
         stop_on_signals(server.stop)
         if with_parent:
@@ -235,6 +238,7 @@ app.command()(credentials)
 app.command()(router)
 app.command()(paper)
 app.command()(verify)
+app.command()(bench)
 app.command(name="view")(view_run)
 app.command(name="watch")(watch_run)
 app.command(name="record")(record_run)

@@ -161,6 +161,9 @@ class Connections:
     @contextmanager
     def watching(self) -> Iterator[None]:
         """Count now, then on a thread of its own every so often and when agents begin, and once more at the end."""
+        if self._counts is None:
+            yield
+            return
         over = threading.Event()
 
         def watch() -> None:

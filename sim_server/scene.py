@@ -77,6 +77,21 @@ def refresh(model: Any, data: Any) -> None:
     mujoco.mj_forward(model, data)
 
 
+class BareStep:
+    """MuJoCo's step alone, on a copy of a world's state: what a plant's step is measured against."""
+
+    def __init__(self, model: Any) -> None:
+        self._model, self._data = model, mujoco.MjData(model)
+
+    def take(self, data: Any) -> None:
+        """Begin from this state."""
+        mujoco.mj_copyData(self._data, self._model, data)
+
+    def step(self) -> None:
+        """One physics step."""
+        mujoco.mj_step(self._model, self._data)
+
+
 def tool_pose(arm: str, q: Array) -> Pose:
     """Pose of the tool centre in the arm's own base frame, by the description."""
     return _tool_pose(arm, tuple(q.tolist()))

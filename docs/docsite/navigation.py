@@ -59,6 +59,7 @@ NAVIGATION: Entries = [
             ("Results", "results.md"),
             ("What a loss costs", "losses.md"),
             ("Performance", "performance.md"),
+            ("Scale", "scale.md"),
         ],
     ),
     ("When it fails", "failures.md"),
