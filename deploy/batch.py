@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import queue
 import shutil
 import subprocess
 import sys
@@ -13,7 +12,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -78,7 +76,7 @@ def lost_agents(folder: Path) -> list[str]:
     return [f"{event['agent']} ({event['why']})" for event in map(json.loads, lines) if event["kind"] == "lost"]
 
 
-def run_one(run: Run, folder: str, *, cwd: str | None = None, core: int | None = None) -> str:
+def run_one(run: Run, folder: str, *, cwd: str | None = None) -> str:
     """Run it into this folder, in place of what is there; what was in the way, or nothing.
 
     A verdict is no problem, whatever it is: who asked for the run judges it. What it cost is left beside the run, and
@@ -86,7 +84,6 @@ def run_one(run: Run, folder: str, *, cwd: str | None = None, core: int | None =
 
     Args:
         cwd: folder in which the command runs and a law of the user's own is looked for; the present one by default.
-        core: that all its processes keep to; by default they go where they like.
     """
     folder = str(Path(folder).absolute())  # also if the command runs elsewhere
     shutil.rmtree(folder, ignore_errors=True)
@@ -97,9 +94,6 @@ def run_one(run: Run, folder: str, *, cwd: str | None = None, core: int | None =
         command += ["--set", setting]
     with tempfile.TemporaryFile("w+") as words:
         launched = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words, cwd=cwd)
-        if core is not None and hasattr(os, "sched_setaffinity"):
-            with suppress(OSError):  # it may have ended already, or the core been taken away; it costs time, no more
-                os.sched_setaffinity(launched.pid, {core})  # what it starts later keeps to it as well
         over = threading.Timer(LONGEST_S, launched.terminate)  # it ends its processes then
         over.start()
         _GOING_ON.add(launched)
@@ -128,30 +122,18 @@ def run_one(run: Run, folder: str, *, cwd: str | None = None, core: int | None =
 
 
 class LocalEngine:
-    """This machine's cores. With a run for each of them, every run keeps to its own: its processes wait for each other
-    most of the time, so they lose nothing by that, and a wake-up on the same core costs less.
+    """This machine's cores.
 
     Args:
-        at_once: how many runs at a time; one per core by default.
+        at_once: how many runs at a time.
     """
 
     def __init__(self, at_once: int | None = None) -> None:
-        cores = usable_cores()
-        self._at_once = at_once or len(cores)
-        self._cores: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-        for k in range(self._at_once):
-            self._cores.put(cores[k] if self._at_once == len(cores) > 1 else None)
-
-    def _run_one(self, run: Run, folder: str) -> str:
-        core = self._cores.get()
-        try:
-            return run_one(run, folder, core=core)
-        finally:
-            self._cores.put(core)
+        self._at_once = at_once or os.cpu_count() or 1
 
     def run_all(self, runs: Sequence[Run], root: Path) -> Iterator[Done]:
         with ThreadPoolExecutor(self._at_once) as pool:
-            waiting = {pool.submit(self._run_one, run, str(root / run.place)): run for run in runs}
+            waiting = {pool.submit(run_one, run, str(root / run.place)): run for run in runs}
             try:
                 for future in as_completed(waiting):
                     run = waiting[future]
@@ -164,13 +146,6 @@ class LocalEngine:
                 raise
             finally:
                 pool.shutdown(cancel_futures=True)
-
-
-def usable_cores() -> list[int]:
-    """Those that this process may use, by number; where the system does not tell, numbers from 0."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
 
 
 class RayEngine:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-import deploy.batch
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
-from deploy.batch import Done, LocalEngine, is_there, run_missing
+from deploy.batch import Done, is_there, run_missing
 from deploy.cli import app
 from deploy.paper.ablations import ABLATIONS, ablation_runs, times_three_runs
 from deploy.paper.plan import section_vi_runs
@@ -160,31 +158,6 @@ def entry(**metrics: Any) -> dict[str, Any]:
         "scenario": each.scenario, "changes": dict(each.changes), "seed": each.seed,
         "metrics": {"verdict": "holds", "tilt_max_deg": 0.2, "wall_s": 10.0} | metrics,
     }  # fmt: skip
-
-
-def test_with_a_run_for_each_core_every_run_keeps_to_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    busy, used, turn = set[int | None](), list[int | None](), threading.Lock()
-    together = threading.Barrier(2)
-
-    def run_one(run: Run, folder: str, *, core: int | None) -> str:
-        with turn:
-            assert core is None or core not in busy
-            busy.add(core)
-            used.append(core)
-        together.wait(10.0)
-        with turn:
-            busy.discard(core)
-        return ""
-
-    monkeypatch.setattr(deploy.batch, "run_one", run_one)
-    monkeypatch.setattr(deploy.batch, "usable_cores", lambda: [3, 5])
-    four = [run(seed) for seed in range(1, 5)]
-    assert {done.problem for done in LocalEngine().run_all(four, tmp_path)} == {""}
-    assert sorted(map(str, used)) == ["3", "3", "5", "5"]
-    monkeypatch.setattr(deploy.batch, "usable_cores", lambda: [3, 5, 7])
-    used.clear()
-    assert len(list(LocalEngine(2).run_all(four, tmp_path))) == 4
-    assert used == [None] * 4, "with cores to spare they go where they like"
 
 
 def test_verifying_sees_one_bit_with_the_same_versions_and_a_part_in_a_thousand_with_others() -> None:
