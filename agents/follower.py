@@ -20,7 +20,7 @@ from agents.session import AgentSession, RunEnded, SimulatorGone, here
 from wire.errors import Reason, Refused
 from wire.keys import Keys
 from wire.link import Link
-from wire.messages import Command, Hello, LeaderView, State, Welcome
+from wire.messages import Command, Hello, State, Welcome
 
 log = logging.getLogger("palanquin.follower")
 
@@ -153,7 +153,7 @@ def run_follower(link: Link, settings: FollowerSettings, departure: Departure | 
     """
     follower, departure = Follower(settings), departure or Departure()
     keys = Keys(settings.run)
-    session = AgentSession(link, keys.arm(settings.arm), keys.sim_alive, follower.hello())
+    session = AgentSession(link, keys.arm(settings.arm), keys.sim_alive, follower.hello(), State)
     departure.heard_by(session.wake)
     try:
         welcome = session.join(settings.join_timeout_s)
@@ -177,7 +177,7 @@ def run_follower(link: Link, settings: FollowerSettings, departure: Departure | 
         session.tell_refused()
 
 
-def carry(session: AgentSession, follower: Follower, welcome: Welcome, departure: Departure) -> None:
+def carry(session: AgentSession[State], follower: Follower, welcome: Welcome, departure: Departure) -> None:
     """Answer every state until the follower has left all that it carried. Raises as :func:`run_follower`."""
     log.info("arm %s: joined, %s clock, period %d ns", follower.settings.arm, welcome.clock, welcome.control_period_ns)
     follower.begin(welcome)
@@ -195,16 +195,18 @@ def carry(session: AgentSession, follower: Follower, welcome: Welcome, departure
     while not follower.has_retreated:
         if departure.wanted and not follower.is_retreating:
             _begin_to_leave(session, follower)
-        session.answer_each(State, answer)
+        session.answer_each(answer)
 
 
-def _begin_to_leave(session: AgentSession, follower: Follower) -> None:
+def _begin_to_leave(session: AgentSession[State], follower: Follower) -> None:
     follower.retreat()
     log.info("arm %s: leaves", follower.settings.arm)
     session.say_leaving()  # last: whoever ordered it waits for that, and then sends the next state
 
 
-def _carry_in_real_time(session: AgentSession, follower: Follower, period_s: float, departure: Departure) -> None:
+def _carry_in_real_time(
+    session: AgentSession[State], follower: Follower, period_s: float, departure: Departure
+) -> None:
     """Of states that have piled up only the newest is answered, and silence with a hold."""
     timeout_s = follower.settings.state_timeout_s
     holding = False
@@ -220,8 +222,6 @@ def _carry_in_real_time(session: AgentSession, follower: Follower, period_s: flo
                 holding = True
                 session.send(hold)
                 log.warning("arm %s: no state for %g s: holding", follower.settings.arm, timeout_s)
-            continue
-        if isinstance(state, LeaderView):
             continue
         try:
             follower.check(state)

@@ -175,9 +175,8 @@ def run_leader(link: Link, settings: LeaderSettings, person: Person | None = Non
     """
     keys = Keys(settings.run)
     pid, host = here()
-    session = AgentSession(
-        link, keys.leader, keys.sim_alive, Hello("leader", settings.run, "leader", "", "", pid, host)
-    )
+    hello = Hello("leader", settings.run, "leader", "", "", pid, host)
+    session = AgentSession(link, keys.leader, keys.sim_alive, hello, LeaderView)
     aims = Aims(settings, person)
     if person is not None:
         person.departure.heard_by(session.wake)
@@ -200,7 +199,7 @@ def run_leader(link: Link, settings: LeaderSettings, person: Person | None = Non
         session.tell_refused()
 
 
-def lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome, aims: Aims) -> NoReturn:
+def lead(session: AgentSession[LeaderView], settings: LeaderSettings, welcome: Welcome, aims: Aims) -> NoReturn:
     """Pull at every view that is newer than all before. Raises as :func:`run_leader`."""
     if settings.point not in welcome.points:
         session.leave()
@@ -226,10 +225,10 @@ def lead(session: AgentSession, settings: LeaderSettings, welcome: Welcome, aims
             session.leave()
             raise RunEnded("left")
         if welcome.clock != "real-time":
-            session.answer_each(LeaderView, answer)
+            session.answer_each(answer)
             continue
         view = session.receive_newest(1.0)
-        if isinstance(view, LeaderView):
+        if view is not None:
             try:
                 session.send(answer(view))
             except Refused as refusal:

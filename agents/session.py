@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from agents.errors import AgentError, NotWelcome
 from agents.thread_name import CONTROL, name_this_thread
@@ -49,7 +49,7 @@ class RunEnded(Exception):
     """The simulator said that the run, or this agent's part in it, is over. Not an error."""
 
 
-class AgentSession:
+class AgentSession(Generic[Told]):
     """Keys, inbox and lease of one agent.
 
     Args:
@@ -57,16 +57,16 @@ class AgentSession:
         keys: this agent's four keys.
         sim_alive: key of the simulator's sign of life.
         hello: the greeting, with ``pid`` and ``host`` filled in by :func:`here`.
+        told: what the simulator tells such an agent at a tick.
     """
 
-    def __init__(self, link: Link, keys: ArmKeys, sim_alive: str, hello: Hello) -> None:
+    def __init__(self, link: Link, keys: ArmKeys, sim_alive: str, hello: Hello, told: type[Told]) -> None:
         self._link, self._keys, self._hello = link, keys, hello
+        self._told: type[Told] = told
         self._inbox: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._simulator_is_there = threading.Event()
         self._has_token = self._is_in = False
         self._publisher = link.publisher(keys.command)
-        self._told: type[State | LeaderView] = LeaderView if hello.role == "leader" else State
-        """What the simulator tells such an agent at a tick."""
         self.refused: Counter[str] = Counter()
         """Messages of the simulator that did not fit, by reason."""
         self._early = 0
@@ -167,8 +167,8 @@ class AgentSession:
             with suppress(LostByTheSimulator):
                 self.receive(0.0)
 
-    def answer_each(self, kind: type[Told], answer: Callable[[Told], Command | LeaderForce | None]) -> None:
-        """Answer every message of a kind on the thread that brings it, until ``answer`` gives None or :meth:`wake`.
+    def answer_each(self, answer: Callable[[Told], Command | LeaderForce | None]) -> None:
+        """Answer every message on the thread that brings it, until ``answer`` gives None or :meth:`wake`.
 
         For lock-step: it saves two changes of threads per message. A law that hangs there takes the transport with it,
         so after the lease, ten seconds, its sign of life goes as well; its missed ticks have told of it before.
@@ -183,7 +183,7 @@ class AgentSession:
 
         def reply(payload: bytes) -> bool:
             message = self._read(payload)
-            if not isinstance(message, kind):
+            if message is None:
                 return True
             try:
                 answered = answer(message)
@@ -199,15 +199,14 @@ class AgentSession:
                 payload = self._next()
                 if payload is None or not reply(payload):
                     return
-            self._reply = reply
+            self._reply, self._failure = reply, None
         try:
             self._next()
         finally:
             with self._turn:
                 self._reply = None
-        failure, self._failure = self._failure, None
-        if failure is not None:
-            raise failure
+        if self._failure is not None:
+            raise self._failure
 
     def _on_message(self, payload: bytes) -> None:
         with self._turn:
@@ -225,7 +224,7 @@ class AgentSession:
             self._reply = None
             self._inbox.put(WOKEN)
 
-    def receive(self, timeout_s: float) -> State | LeaderView | None:
+    def receive(self, timeout_s: float) -> Told | None:
         """The next message of the simulator, or None after ``timeout_s`` without one, or after :meth:`wake`.
 
         What does not fit is counted, reported in the log once per kind, and skipped.
@@ -249,7 +248,7 @@ class AgentSession:
             raise SimulatorGone(f"{self._hello.name}: the simulator is gone")
         return None if payload == WOKEN else payload
 
-    def _read(self, payload: bytes) -> State | LeaderView | None:
+    def _read(self, payload: bytes) -> Told | None:
         """What it says, if it is for a law. Raises as :meth:`receive`."""
         early, self._early = self._early > 0, max(0, self._early - 1)
         try:
@@ -257,19 +256,19 @@ class AgentSession:
         except Refused as refusal:
             self.refuse(refusal)
             return None
-        if isinstance(message, End):
-            if message.kind == "lost" and early:
-                return None  # that was the instance before, lost while this one greeted
-            if message.kind == "lost":
-                raise LostByTheSimulator(f"{self._hello.name}: the simulator gave this agent up: {message.reason}")
-            raise RunEnded(message.reason)
-        if isinstance(message, State | LeaderView) and isinstance(message, self._told):
+        if isinstance(message, self._told):
             return message
+        if isinstance(message, End):
+            if message.kind == "over":
+                raise RunEnded(message.reason)
+            if not early:
+                raise LostByTheSimulator(f"{self._hello.name}: the simulator gave this agent up: {message.reason}")
+            return None  # that was the instance before, lost while this one greeted
         got, expected = type(message).__name__, f"{self._told.__name__} or End"
         self.refuse(Refused(Reason.TYPE, "type", got, expected))
         return None
 
-    def receive_newest(self, timeout_s: float) -> State | LeaderView | None:
+    def receive_newest(self, timeout_s: float) -> Told | None:
         """As :meth:`receive`, but of those that have piled up only that of the newest tick: in real time the others are
         history."""
         message = self.receive(timeout_s)

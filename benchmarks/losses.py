@@ -12,12 +12,10 @@ from __future__ import annotations
 import hashlib
 import json
 import signal
-import socket
 import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -29,6 +27,7 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
+from deploy.relay import Relay
 from wire.endpoints import parse_endpoint
 from wire.zenoh_link import free_endpoint
 
@@ -88,54 +87,12 @@ class Slow100(Later):
 """
 
 
-class Valve:
-    """A TCP proxy for one connection that can be closed, or made to carry nothing without a word."""
-
-    def __init__(self, target: str) -> None:
-        self._target, self._shut = parse_endpoint(target), threading.Event()
-        self._sockets: list[socket.socket] = []
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                inner, _ = self._listener.accept()
-                outer = socket.create_connection((self._target.host, self._target.port))
-                for each in (inner, outer):
-                    each.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._sockets += [inner, outer]
-                for source, sink in ((inner, outer), (outer, inner)):
-                    threading.Thread(target=self._pump, args=(source, sink), daemon=True).start()
-
-    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
-        with suppress(OSError):
-            while data := source.recv(65536):
-                if not self._shut.is_set():
-                    sink.sendall(data)
-        if not self._shut.is_set():  # one end is gone: the other hears of it, as without a proxy
-            with suppress(OSError):
-                sink.shutdown(socket.SHUT_RDWR)
-
-    def shut(self) -> None:
-        """As a cable that is pulled: both ends stay open and hear nothing."""
-        self._shut.set()
-
-    def close(self) -> None:
-        """As a router that ends the connections, and accepts none any more."""
-        for each in (self._listener, *self._sockets):
-            with suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
-            each.close()
-
-
 @dataclass(frozen=True, slots=True)
 class Victim:
-    """Arm a2's process, and the valve in its connection."""
+    """Arm a2's process, and the relay in its connection."""
 
     process: subprocess.Popen[bytes]
-    valve: Valve
+    relay: Relay
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +100,7 @@ class Fault:
     """One way to lose a follower: by what is done to it, or by its own controller."""
 
     name: str
-    act: Callable[[Victim], None] | None = None
+    act: Callable[[Victim], object] | None = None
     controller: str = "paper"
     patience_s: float = 30.0
     """Wall time in which it is lost, if it is."""
@@ -153,8 +110,8 @@ FAULTS = (
     Fault("process killed (SIGKILL)", lambda victim: victim.process.kill()),
     Fault("process stopped (SIGSTOP)", lambda victim: victim.process.send_signal(signal.SIGSTOP)),
     Fault("control loop hangs", controller="faulty:Hung"),
-    Fault("link closed", lambda victim: victim.valve.close()),
-    Fault("link silent", lambda victim: victim.valve.shut()),
+    Fault("link closed", lambda victim: victim.relay.cut()),
+    Fault("link silent", lambda victim: victim.relay.silence()),
     Fault("100 ms per tick", controller="faulty:Slow100", patience_s=6.0),
     Fault("30 ms per tick", controller="faulty:Slow30", patience_s=6.0),
 )
@@ -217,17 +174,17 @@ def lose_one(cwd: Path, fault: Fault, clock: str) -> Seen:
         sim = start("sim", "sim", "light.toml", "--open", "--listen", endpoint, "--out", folder)
         while sim.poll() is None and not parse_endpoint(endpoint).somebody_listens():
             time.sleep(0.05)
-        valve = Valve(endpoint)
-        stack.callback(valve.close)
+        relay = Relay(endpoint)
+        stack.callback(relay.close)
         start("a1", "follower", "--arm", "a1", "--connect", endpoint)
         start("leader", "leader", "--goal-m", "2", "0", "--connect", endpoint)
-        victim = start("a2", "follower", "--arm", "a2", "--connect", valve.endpoint, "--controller", fault.controller)
+        victim = start("a2", "follower", "--arm", "a2", "--connect", relay.endpoint, "--controller", fault.controller)
         await_event(folder, sim, "started")
         fault_at = 0.0
         if fault.act is not None:
             time.sleep(SETTLED_S)
             fault_at = time.time()
-            fault.act(Victim(victim, valve))
+            fault.act(Victim(victim, relay))
         lost = await_event(folder, sim, "lost", patience_s=fault.patience_s)
         seen_at = time.time()
         sim.send_signal(signal.SIGINT)

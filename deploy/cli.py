@@ -11,9 +11,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import importlib.metadata
 import logging
 import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -43,15 +42,6 @@ from deploy.see.commands import record as record_run
 from deploy.see.commands import view as view_run
 from deploy.see.commands import watch as watch_run
 from deploy.settings import scenario_changes, tables
-
-
-class LedBy(StrEnum):
-    """Who leads a run, as a scenario's ``leader.by``."""
-
-    law = "law"
-    keyboard = "keyboard"
-    gamepad = "gamepad"
-
 
 LONGEST_S = 3600.0
 """Of a time that something takes: an hour, and no infinity."""
@@ -88,7 +78,8 @@ def run(
     viewer: Annotated[str | None, typer.Option(metavar="URL", help="Show it in a viewer that is there.")] = None,
     watch: Annotated[bool, typer.Option("--watch", help="Show it in this terminal while it goes on.")] = False,
     leader: Annotated[
-        LedBy | None, typer.Option("--leader", help="Who leads: the scenario's law, or a person at this machine.")
+        Literal["law", "keyboard", "gamepad"] | None,
+        typer.Option("--leader", help="Who leads: the scenario's law, or a person at this machine."),
     ] = None,
     set_: Settings = None,
 ) -> None:

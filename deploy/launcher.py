@@ -17,15 +17,15 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.agents_told import SPARE_NAMES, cut_off, everybody, follower_arguments, leader_arguments
 from deploy.deeds import Doer, Processes
 from deploy.mailbox import Mailbox
 from deploy.person.wishes import Wishes
 from deploy.relay import Relay
 from deploy.room import Rooms, room_environment
-from deploy.settings import toml_value
-from sim_server.faults.processes import SimKill, Slow, ToProcess
+from sim_server.faults.processes import SimKill, Slow
 from sim_server.run_folder import LOGS, claim_logs
-from sim_server.scenario import Scenario, arm_number
+from sim_server.scenario import Scenario
 from wire.access import Role
 from wire.codec import decode, encode
 from wire.credentials import STDIN, Guests, credential_line, guests_line
@@ -44,9 +44,6 @@ RECORDER, RECORDING_NOW = "recorder", "recording"
 """Name of the observer that records, and the line that it says when it would miss nothing."""
 RECORDED_S = 60.0
 """Time that it gets to write what is left."""
-
-SPARE_NAMES = 16
-"""Robots that may come in a run without being foreseen."""
 
 Show = Callable[[Progress], None]
 
@@ -310,51 +307,6 @@ class Launcher:
         if self._mailbox is not None:
             self._mailbox.close()
             self._mailbox = None
-
-
-def everybody(scenario: Scenario) -> list[str]:
-    """Names of all arms that may take part: the team, those who come by its events, and some that nobody foresaw."""
-    known = [*scenario.arms, *scenario.joining]
-    last = max(arm_number(name) + 1 for name in known)
-    return [*known, *(f"a{last + k}" for k in range(1, SPARE_NAMES + 1))]
-
-
-def cut_off(scenario: Scenario) -> set[str]:
-    """Agents whose link the scenario cuts."""
-    return {event.agent for event in scenario.events if isinstance(event, ToProcess) and event.kind == "disconnect"}
-
-
-def follower_arguments(scenario: Scenario) -> list[str]:
-    """What a follower is told: its arm's model and its law. Nothing of the load, the goal, or how many there are."""
-    team = scenario.team
-    arguments = ["--arm-model", team.arm, "--controller", team.controller, "--handover-s", repr(team.handover_s)]
-    arguments += ["--leave-s", repr(team.leave_s)]
-    for key, value in team.gains.items():
-        arguments += ["--set", f"{key}={toml_value(value)}"]
-    return arguments
-
-
-def leader_arguments(scenario: Scenario) -> list[str]:
-    """What the leader is told."""
-    leader = scenario.leader
-    if leader is None:
-        return []
-    return [
-        "--goal-m",
-        *(repr(x) for x in leader.goal_m),
-        *(f"--stop={','.join(map(repr, (*stop.goal_m, stop.until_s)))}" for stop in leader.stops),
-        *(f"--waypoint={','.join(map(repr, place))}" for place in leader.waypoints),
-        *(["--near-m", repr(leader.near_m)] if leader.waypoints else []),
-        *(["--wishes"] if leader.by != "law" else []),
-        "--force-max-N",
-        repr(leader.force_max_N),
-        "--stiffness-N-m",
-        repr(leader.stiffness_N_m),
-        "--damping-Ns-m",
-        repr(leader.damping_Ns_m),
-        "--point",
-        leader.point,
-    ]
 
 
 def child_environment(environment: Mapping[str, str]) -> dict[str, str]:

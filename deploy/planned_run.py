@@ -65,7 +65,12 @@ class Run:
 
     def settings(self) -> list[str]:
         """Its changes as ``--set`` takes them."""
-        return [f"{key}={toml_value(value)}" for key, value in _flat(self.changes)]
+        return as_settings(self.changes)
+
+
+def as_settings(changes: Changes) -> list[str]:
+    """Changes of a scenario as ``--set`` takes them, ``KEY=VALUE``."""
+    return [f"{key}={toml_value(value)}" for key, value in _flat(changes)]
 
 
 def merged(below: Changes, above: Changes) -> dict[str, Any]:
@@ -78,6 +83,7 @@ def merged(below: Changes, above: Changes) -> dict[str, Any]:
 
 
 def _flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The single values of nested tables, by dotted keys."""
     for key, value in changes.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{key}.")

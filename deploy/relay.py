@@ -31,6 +31,8 @@ class Relay:
         self._lock = threading.Lock()
         self._pairs: set[_Pair] = set()
         self._is_cut = False
+        self._carries = threading.Event()
+        self._carries.set()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
         threading.Thread(target=self._accept, name="relay", daemon=True).start()
@@ -47,6 +49,10 @@ class Relay:
         """Let connections in again."""
         with self._lock:
             self._is_cut = False
+
+    def silence(self) -> None:
+        """Carry nothing any more, as a cable that is pulled: both ends stay open and hear nothing."""
+        self._carries.clear()
 
     def close(self) -> None:
         """End it."""
@@ -97,8 +103,10 @@ class Relay:
     def _pump(self, source: socket.socket, sink: socket.socket, pair: _Pair) -> None:
         with suppress(OSError):
             while data := source.recv(CHUNK):
-                sink.sendall(data)
-        _shut(pair)  # one end is gone: the other hears of it
+                if self._carries.is_set():
+                    sink.sendall(data)
+        if self._carries.is_set():
+            _shut(pair)  # one end is gone: the other hears of it
 
 
 def _shut(pair: _Pair) -> None:

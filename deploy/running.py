@@ -14,9 +14,10 @@ from rich.console import Console
 from agents.arm_model import ArmModel
 from agents.controllers import make_controller
 from agents.errors import GainError
+from deploy.agents_told import guests_of
 from deploy.exit_status import BAD_INPUT, COULD_NOT_RUN, fail
 from deploy.guard import Interrupted
-from deploy.launcher import Launcher, Show, everybody
+from deploy.launcher import Launcher, Show
 from deploy.person.launched import led
 from deploy.person.wishes import Wishes
 from deploy.report import PatientConsole, print_metrics, progress_display
@@ -29,7 +30,7 @@ from sim_server.run_folder import LOGS, METRICS, compute_metrics
 from sim_server.scenario_files import NamedScenario, load_scenario
 from sim_server.server import check_world, default_folder
 from wire.access import Role
-from wire.credentials import Guests, for_one_run
+from wire.credentials import Guests
 from wire.zenoh_link import free_endpoint, open_client
 
 RUN_NAME = "carry"
@@ -76,7 +77,7 @@ def run_scenario(
     folder = (out or default_folder(Path("runs"), named.name)).absolute()
     endpoint = free_endpoint()
     # The run's name is told to the followers; a scenario's name may say what no follower may know.
-    guests = for_one_run([*everybody(named.scenario), Role.LEADER, Role.OPERATOR, Role.OBSERVER])
+    guests = guests_of(named.scenario)
     recorder = [*(["--save", str(folder / RECORDING)] if record else []), *(["--view"] if view else [])]
     recorder += ["--viewer", viewer] if viewer else []
     wishes = Wishes()

@@ -262,3 +262,13 @@ def launched(
     folder = cwd / "run"
     with started("run", scenario, "--out", folder, *settings(values), *options, cwd=cwd) as command:
         yield LaunchedRun(command, folder)
+
+
+def run_of(story: str, cwd: Path) -> Path:
+    """The folder of a scenario, given as text, that was run to its end and left no process over."""
+    (cwd / "story.toml").write_text(story)
+    with launched("story.toml", cwd, {}) as run:
+        run.command.end()
+        run.command.look()
+        assert run.command.survivors() == []
+    return run.folder

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from processes import Started, free_port, read_events, read_json, run_to_end, settings, started, wait_until
 
-from deploy.launcher import leader_arguments
+from deploy.agents_told import leader_arguments
 from sim_server.audit import Auditor
 from sim_server.connections import OVERHEAD, Connections
 from sim_server.scenario_files import load_scenario

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import launched, read_events, read_json
+from processes import read_events, read_json, run_of
 
 from sim_server.trace import read_trace
 
@@ -43,19 +43,10 @@ agent = "leader"
 """
 
 
-def told(cwd: Path, scenario: str = SCENARIO) -> Path:
-    (cwd / "cut.toml").write_text(scenario)
-    with launched("cut.toml", cwd, {}) as run:
-        run.command.end()
-        run.command.look()
-        assert run.command.survivors() == []
-    return run.folder
-
-
 def test_who_is_cut_off_lives_on_is_lost_and_greets_again_at_certain_ticks(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
-    one, two = (told(tmp_path_factory.mktemp(name)) for name in ("one", "two"))
+    one, two = (run_of(SCENARIO, tmp_path_factory.mktemp(name)) for name in ("one", "two"))
     events = read_events(one)
     lost = [(each["tick"], each["agent"], each["why"]) for each in events if each["kind"] == "lost"]
     gone = "its sign of life is gone"
@@ -79,7 +70,7 @@ def test_who_is_cut_off_lives_on_is_lost_and_greets_again_at_certain_ticks(
 
 def test_one_whose_link_stays_cut_ends_with_the_run_and_a_new_process_has_a_whole_one(tmp_path: Path) -> None:
     without_the_last, _, _ = SCENARIO.rpartition("[[events]]")
-    events = read_events(told(tmp_path, without_the_last.replace('kind = "reconnect"', 'kind = "start"')))
+    events = read_events(run_of(without_the_last.replace('kind = "reconnect"', 'kind = "start"'), tmp_path))
     seen = [(each["event"], each["agent"]) for each in events if each["kind"] == "seen"]
     assert seen == [("disconnect", "a2"), ("start", "a2"), ("disconnect", "leader")]
     pids = [each["pid"] for each in events if each["kind"] == "joined" and each["agent"] == "a2"]

@@ -69,8 +69,8 @@ def test_in_real_time_a_follower_holds_its_arm_up_when_states_stop_coming() -> N
     assert simulator.command().tick == 6, "when states come again it goes on"
 
 
-def joined(simulator: PlayedSimulator) -> AgentSession:
-    session = AgentSession(simulator.broker.link(), KEYS.arm("a1"), KEYS.sim_alive, HELLO)
+def joined(simulator: PlayedSimulator) -> AgentSession[State]:
+    session = AgentSession(simulator.broker.link(), KEYS.arm("a1"), KEYS.sim_alive, HELLO, State)
     session.join(DEADLINE_S)
     return session
 
@@ -259,7 +259,7 @@ def test_a_departure_is_seen_to_once_and_only_by_one_who_is_in() -> None:
     assert not departure.ask(), "nobody hears it: end at once"
     simulator = Witness()
     link = simulator.broker.link()
-    session = AgentSession(link, KEYS.arm("a1"), KEYS.sim_alive, HELLO)
+    session = AgentSession(link, KEYS.arm("a1"), KEYS.sim_alive, HELLO, State)
     departure.heard_by(session.wake)
     assert not departure.ask(), "not let in yet"
     session.join(DEADLINE_S)

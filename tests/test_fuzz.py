@@ -74,7 +74,7 @@ def falls_over(self: AgentLink, message: Command | LeaderForce) -> None:
         raise ZeroDivisionError("a lease that nobody has")
 
 
-def skips_without_counting(self: AgentSession, refusal: Refused) -> None:
+def skips_without_counting(self: AgentSession[State], refusal: Refused) -> None:
     pass
 
 

@@ -26,12 +26,12 @@ from processes import (
     started,
 )
 
+from deploy.agents_told import leader_arguments
 from deploy.chaos.attempt import Got
 from deploy.chaos.evidence import settle
 from deploy.chaos.intruder import ATTEMPTS, Row
 from deploy.chaos.target import merged
 from deploy.landlock import abi
-from deploy.launcher import leader_arguments
 from sim_server.scenario_files import load_scenario
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]

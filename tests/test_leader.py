@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import launched, read_json, run_to_end
+from processes import read_json, run_of, run_to_end
 
 from agents.leader import LeaderSettings, LeaderSettingsError, Stop, pull
-from deploy.launcher import leader_arguments
+from deploy.agents_told import leader_arguments
 from sim_server.scenario import Leader
 from sim_server.scenario_files import load_scenario
 from sim_server.trace import read_trace
@@ -115,11 +115,8 @@ def test_a_bad_stop_by_hand_is_one_sentence(stop: str, tmp_path: Path) -> None:
 @pytest.mark.system
 @pytest.mark.timeout(240)
 def test_a_run_is_pulled_from_stop_to_stop_and_judged_by_its_goal(tmp_path: Path) -> None:
-    path = tmp_path / "stops.toml"
-    path.write_text(SCENARIO)
-    with launched(str(path), tmp_path, {}) as run:
-        run.command.end()
-    trace = read_trace(run.folder / "trace.parquet")
+    folder = run_of(SCENARIO, tmp_path)
+    trace = read_trace(folder / "trace.parquet")
     force, time_s = trace["leader.force"], trace["time_s"]
     assert (force[time_s < 0.2995, 0] > 0.0).all()
     # It looks every 10 ms: at 0.30 s it turns to the second stop, after 0.505 s it looks first at 0.51 s.
@@ -127,5 +124,5 @@ def test_a_run_is_pulled_from_stop_to_stop_and_judged_by_its_goal(tmp_path: Path
     at = {tick: force[tick] for tick in (509, 510)}
     assert abs(at[509][1] / at[509][0]) > abs(at[510][1] / at[510][0])
     assert np.linalg.norm(force, axis=1).max() <= 40.0
-    metrics = read_json(run.folder / "metrics.json")
+    metrics = read_json(folder / "metrics.json")
     assert metrics["goal_error_m"] == pytest.approx(np.hypot(*(trace["load.position"][-1, :2] - (-2.0, 0.0))))

@@ -28,7 +28,7 @@ from processes import (
 )
 
 from agents.follower import FollowerSettings, run_follower
-from deploy.launcher import leader_arguments
+from deploy.agents_told import leader_arguments
 from sim_server.scenario_files import load_scenario
 from wire.errors import LinkError
 from wire.keys import Keys

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bench import ask
 
-from deploy.launcher import follower_arguments
+from deploy.agents_told import follower_arguments
 from sim_server.layout import Pose
 from sim_server.mujoco_plant import MujocoPlant
 from sim_server.run_folder import RunFolder

@@ -17,8 +17,8 @@ from processes import (
     started,
 )
 
+from deploy.agents_told import leader_arguments
 from deploy.credential_store import CredentialStore
-from deploy.launcher import leader_arguments
 from deploy.router_file import write_router_file
 from sim_server.scenario_files import load_scenario
 from wire.access import principal

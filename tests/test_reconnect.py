@@ -45,10 +45,10 @@ def state(tick: int) -> bytes:
     return encode(State("a1", tick, 1000 * tick, (0.0,) * 7, (0.0,) * 7, (0.0,) * 7, (0.0,) * 6, 0.03, (0.0,) * 6))
 
 
-def bereaved(broker: Broker) -> AgentSession:
+def bereaved(broker: Broker) -> AgentSession[State]:
     """A session whose simulator has sent something and died."""
     first = Simulator(broker, welcome(1))
-    session = AgentSession(broker.link(), KEYS.arm("a1"), KEYS.sim_alive, HELLO)
+    session = AgentSession(broker.link(), KEYS.arm("a1"), KEYS.sim_alive, HELLO, State)
     session.join(1.0)
     first.state.put(state(41))
     first.link.close()
@@ -97,7 +97,7 @@ def test_another_refusal_is_the_end() -> None:
 def test_at_the_first_greeting_a_place_that_is_taken_is_the_end() -> None:
     broker = Broker()
     Simulator(broker, refusal(Reason.TAKEN))
-    session = AgentSession(broker.link(), KEYS.arm("a1"), KEYS.sim_alive, HELLO)
+    session = AgentSession(broker.link(), KEYS.arm("a1"), KEYS.sim_alive, HELLO, State)
     with pytest.raises(NotWelcome, match="because of taken"):
         session.join(5.0)
 

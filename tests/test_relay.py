@@ -16,6 +16,8 @@ from wire.endpoints import parse_endpoint
 from wire.messages import Deed
 
 PATIENCE_S = 20.0
+QUIET_S = 0.3
+"""Without a byte: on this machine's own line one takes a millisecond."""
 
 
 @contextmanager
@@ -76,6 +78,20 @@ def test_a_cut_ends_the_connection_at_both_ends_and_nobody_gets_through_until_it
         far.settimeout(PATIENCE_S)
         near.sendall(b"again")
         assert far.recv(10) == b"again"
+
+
+def test_a_silent_link_stays_open_and_carries_nothing_not_even_an_end(server: socket.socket, relay: Relay) -> None:
+    near = connect(relay)
+    with server.accept()[0] as far:
+        near.sendall(b"before")
+        far.settimeout(PATIENCE_S)
+        assert far.recv(100) == b"before"
+        relay.silence()
+        near.sendall(b"after")
+        near.close()
+        far.settimeout(QUIET_S)
+        with pytest.raises(TimeoutError):
+            far.recv(100)
 
 
 def test_an_end_that_goes_is_heard_at_the_other_as_without_a_relay(server: socket.socket, relay: Relay) -> None:

@@ -29,7 +29,7 @@ from processes import (
     wait_until,
 )
 
-from deploy.launcher import leader_arguments
+from deploy.agents_told import leader_arguments
 from sim_server.metrics import METRICS
 from sim_server.scenario_files import load_scenario
 from sim_server.trace import columns, read_trace

@@ -11,11 +11,12 @@ from refused import refused
 from rich.console import Console
 from watched import event, progress, row
 
+from deploy.see.heard import NotSeen
 from deploy.see.watch.canvas import ASCII
 from deploy.see.watch.screens import Lines, Picture, why_plain
 from deploy.see.watch.seen import Seen
 from deploy.see.watch.top_view import Told
-from deploy.see.watch.watcher import NotSeen, Watcher
+from deploy.see.watch.watcher import Watcher
 from wire.codec import encode
 from wire.keys import Keys
 from wire.link import Link

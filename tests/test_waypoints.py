@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from processes import launched, read_events
+from processes import read_events, run_of
 from refused import refused
 
 from agents.leader import LeaderSettings, LeaderSettingsError, pull, read_waypoint
 from agents.waypoints import Place, Waypoints
-from deploy.launcher import leader_arguments
+from deploy.agents_told import leader_arguments
 from sim_server.scenario_files import load_scenario
 from sim_server.trace import read_trace
 
@@ -133,11 +133,7 @@ def test_a_leader_that_cannot_know_where_to_is_refused_in_one_sentence(words: tu
 @pytest.mark.system
 @pytest.mark.timeout(240)
 def test_a_run_turns_at_the_very_look_at_which_the_load_has_come_near(tmp_path: Path) -> None:
-    path = tmp_path / "waypoints.toml"
-    path.write_text(SCENARIO)
-    with launched(str(path), tmp_path, {}) as run:
-        run.command.end()
-    trace = read_trace(run.folder / "trace.parquet")
+    trace = read_trace(run_of(SCENARIO, tmp_path) / "trace.parquet")
     force, place = trace["leader.force"], trace["load.position"][:, :2]
     looks = np.arange(0, len(force), 10)  # one a 10 ms, at the pose of the tick before it
     near = np.hypot(*(place[looks - 1] - (1.0, 0.0)).T) <= 0.99
@@ -153,14 +149,11 @@ def test_a_run_turns_at_the_very_look_at_which_the_load_has_come_near(tmp_path: 
 @pytest.mark.timeout(240)
 def test_a_simulator_that_goes_on_from_before_a_waypoint_has_the_load_pulled_there_again(tmp_path: Path) -> None:
     """Reached at 0.30 s, killed at 0.35 s, gone on with from 0.2 s: the same leader's process turns at 0.30 s again."""
-    path = tmp_path / "waypoints.toml"
     kill = '[[events]]\nat_s = 0.35\nkind = "sim_kill"\n'
     near = SCENARIO.replace("near_m = 0.99", "near_m = 0.95").replace("duration_s = 1.5", "duration_s = 0.5")
-    path.write_text(near + "checkpoint_s = 0.2\n" + kill)
-    with launched(str(path), tmp_path, {}) as run:
-        run.command.end()
-    resumed = [each["tick"] for each in read_events(run.folder) if each["kind"] == "resumed"]
-    force = read_trace(run.folder / "trace.parquet")["leader.force"][:, 0]
+    folder = run_of(near + "checkpoint_s = 0.2\n" + kill, tmp_path)
+    resumed = [each["tick"] for each in read_events(folder) if each["kind"] == "resumed"]
+    force = read_trace(folder / "trace.parquet")["leader.force"][:, 0]
     assert resumed == [200]
     # Its agents take over anew, which moves the load by a hair: a look or two earlier or later.
     assert (force[:280] > 0.0).all()

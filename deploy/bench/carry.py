@@ -8,16 +8,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from deploy.agents_told import guests_of
 from deploy.bench.plan import TeamOf
 from deploy.bench.process_cost import Memory, cpu_s_of, memory_of
 from deploy.exit_status import COULD_NOT_RUN
-from deploy.launcher import Launcher, everybody
+from deploy.launcher import Launcher
+from deploy.planned_run import as_settings, merged
 from deploy.see.viewing import RECORDING
-from deploy.settings import toml_value
 from sim_server.run_folder import read_run
 from sim_server.scenario import Scenario
 from wire.access import Role
-from wire.credentials import Guests, for_one_run
+from wire.credentials import Guests
 from wire.messages import Progress
 from wire.zenoh_link import free_endpoint, open_client
 
@@ -142,9 +143,9 @@ def carry(
     """
     named = team.load({**(changes or {}), "duration_s": LONGEST_S})
     scenario = named.scenario
-    settings = {**_flat(team.changes), **_flat(changes or {}), "duration_s": LONGEST_S}
-    arguments = [word for key, value in settings.items() for word in ("--set", f"{key}={toml_value(value)}")]
-    guests = for_one_run([*everybody(scenario), Role.LEADER, Role.OPERATOR, Role.OBSERVER])
+    changed = merged(merged(team.changes, changes or {}), {"duration_s": LONGEST_S})
+    arguments = [word for setting in as_settings(changed) for word in ("--set", setting)]
+    guests = guests_of(scenario)
     endpoint = free_endpoint()
     with tempfile.TemporaryDirectory(prefix="palanquin-") as place:
         folder = Path(place) / "run"
@@ -174,14 +175,3 @@ def carry(
         raise CarryFailed(f"a carry was stopped before its first tick: {run['ended']['why']}")
     lost = tuple(name for name, agent in run["agents"].items() if agent["phase"] == "lost")
     return Carry(int(run["ended"]["ticks"]), float(measured["wall_s"]), measured, watch.memory, watch.cpu_us, lost)
-
-
-def _flat(changes: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables as dotted keys."""
-    found: dict[str, Any] = {}
-    for key, value in changes.items():
-        if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{key}.")
-        else:
-            found[f"{prefix}{key}"] = value
-    return found

@@ -65,7 +65,7 @@ def machine_text(machine: dict[str, Any]) -> str:
     """One line for a table's head."""
     python, found = machine["python"], machine["versions"]
     built = [name for name, key in (("PGO", "profile_guided"), ("LTO", "link_time")) if python[key]]
-    how = ", ".join(built) or ("optimised" if python["optimised"] else "not optimised")
+    how = ", ".join(built) or ("no PGO, no LTO" if python["optimised"] else "not optimised")
     commit = found["commit"]
     short = "no checkout" if commit is None else commit[:10] + ("+changes" if "+" in commit else "")
     return (

@@ -17,7 +17,7 @@ from deploy.bench.carry import CarryFailed
 from deploy.bench.figures import Part, Samples
 from deploy.bench.plan import Plan, arms_text, team_of
 from deploy.launcher import child_environment
-from deploy.planned_run import Run, merged
+from deploy.planned_run import as_settings, merged
 from sim_server.run_folder import EVENTS
 
 POLL_S = 0.002
@@ -93,11 +93,10 @@ def timed_run(arms: int) -> dict[str, float]:
         {"at_s": STARTED_S, "kind": "start", "agent": "a1"},
     ]
     changes = merged(team.changes, {"duration_s": DURATION_S, "events": events})
-    settings = Run("bench", "start-up", "paper", team.scenario, changes, 1).settings()
     with tempfile.TemporaryDirectory(prefix="palanquin-") as place:
         folder = Path(place) / "run"
         command = [sys.executable, "-m", "deploy.cli", "run", team.scenario, "--no-picture", "--out", str(folder)]
-        command += [word for setting in settings for word in ("--set", setting)]
+        command += [word for setting in as_settings(changes) for word in ("--set", setting)]
         clock = EventClock(folder / EVENTS)
         clock.start()
         start = time.perf_counter()

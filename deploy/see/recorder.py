@@ -10,27 +10,21 @@ import os
 import subprocess
 import threading
 import time
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 from deploy.launcher import RECORDING_NOW
+from deploy.see.heard import YIELDS, Heard, NotSeen
 from deploy.see.live import LiveRun
 from deploy.see.recording import Recording
 from deploy.see.viewing import viewer_command
-from sim_server.errors import SimError
 from sim_server.scenario_files import NamedScenario
-from wire.codec import decode
 from wire.endpoints import parse_endpoint
-from wire.errors import Refused
 from wire.keys import Keys
 from wire.link import Link
 from wire.messages import Event, Row
 from wire.zenoh_link import free_endpoint
-
-M = TypeVar("M", Row, Event)
 
 LOOK_S = 0.2
 """Wall time between two looks at what has come."""
@@ -38,16 +32,8 @@ FILE_ROWS, VIEWER_ROWS = 1000, 1
 """Rows that a block has at least. A file of many small blocks is several times as large, and slow to open."""
 MOST_WAITING = 20_000
 """Rows that wait at most: 100 simulated seconds of the usual 200 a second."""
-YIELDS = 10
-"""How far the recorder steps back (nice) behind those who carry."""
 VIEWER_S = 30.0
 """Time that a viewer gets to open."""
-
-
-class NotSeen(SimError):
-    """The recorder has nothing to record, or nobody to show it to."""
-
-    exit_status = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +60,9 @@ class Recorder:
 
     def __init__(self, link: Link, run: str, every_ticks: int) -> None:
         self._every_ticks = every_ticks
-        self._waiting: deque[bytes] = deque(maxlen=MOST_WAITING)
-        self._events: deque[bytes] = deque()
-        self._refused = 0
         self._seen, self._over = threading.Event(), threading.Event()
         keys = Keys(run)
-        link.subscribe(keys.rows, self._waiting.append)
-        link.subscribe(keys.events, self._events.append)
+        self._rows, self._events = Heard(link, keys.rows, Row, MOST_WAITING), Heard(link, keys.events, Event)
         link.watch_alive(keys.sim_alive, self._watch)
 
     def _watch(self, is_alive: bool) -> None:
@@ -113,7 +95,7 @@ class Recorder:
         count, lost, last = 0, 0, None
         while True:
             over = self._over.wait(LOOK_S)
-            rows, events = self._drain(self._waiting, Row), self._drain(self._events, Event)
+            rows, events = self._rows.take(), self._events.take()
             for live, least in lives.items():
                 pending[live] += rows
                 if pending[live] and (over or len(pending[live]) >= least):
@@ -125,16 +107,7 @@ class Recorder:
                 last = row.tick
             count += len(rows)
             if over:
-                return Recorded(count, lost, self._refused)
-
-    def _drain(self, waiting: deque[bytes], wanted: type[M]) -> list[M]:
-        found: list[M] = []
-        for _ in range(len(waiting)):
-            try:
-                found.append(decode(waiting.popleft(), wanted))
-            except Refused:
-                self._refused += 1
-        return found
+                return Recorded(count, lost, self._rows.refused + self._events.refused)
 
 
 def record(

@@ -20,7 +20,7 @@ from typing import Any
 
 from deploy.chaos.fuzz.fuzzer import FIRST_TICK, Fuzzer
 from deploy.chaos.fuzz.world import Ran, run_in_memory
-from sim_server.run_folder import EVENTS, RUN, TRACE
+from sim_server.run_folder import EVENTS, TRACE, read_run
 from sim_server.scenario_files import NamedScenario, load_scenario
 from wire.keys import Keys
 from wire.memory import Broker
@@ -137,8 +137,8 @@ def _changed(plain: Path, fuzzed: Path) -> Iterator[str]:
         yield "the trace is not that of the run without them"
     if _events(plain) != _events(fuzzed):
         yield "the events are not those of the run without them"
-    for name, life in _run(fuzzed)["agents"].items():
-        before = _run(plain)["agents"][name]
+    for name, life in read_run(fuzzed)["agents"].items():
+        before = read_run(plain)["agents"][name]
         if any(life[key] != before[key] for key in ("phase", "lease", "missed_ticks")):
             yield f"{name}'s life is not that of the run without them"
 
@@ -159,7 +159,7 @@ def _not_counted(fuzzer: Fuzzer, folder: Path, ran: Ran) -> Iterator[str]:
 
 def _of_simulator(folder: Path) -> dict[str, Counter[str]]:
     """What the simulator has refused, by agent and reason; of those who are nobody here under ``others``."""
-    run = _run(folder)
+    run = read_run(folder)
     found = {name: Counter(agent["refused"]) for name, agent in run["agents"].items()}
     others: Counter[str] = Counter()
     for stranger, times in run["strangers_refused"].items():
@@ -183,8 +183,3 @@ def _events(folder: Path) -> list[dict[str, Any]]:
     """All but the refusals."""
     lines = (folder / EVENTS).read_text(encoding="utf-8").splitlines()
     return [event for event in map(json.loads, lines) if event["kind"] != "refused"]
-
-
-def _run(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / RUN).read_text(encoding="utf-8"))
-    return found

@@ -18,12 +18,12 @@ from agents.follower import Follower, FollowerSettings, carry
 from agents.leader import Aims, LeaderSettings, lead
 from agents.session import AgentSession, RunEnded, here
 from sim_server.run_folder import RunFolder
-from sim_server.scenario import Scenario
+from sim_server.scenario import Leader, Scenario
 from sim_server.scenario_files import NamedScenario
 from sim_server.server import Server
 from wire.keys import Keys
 from wire.memory import Broker, MemoryLink, MemoryQuestion, key_matches
-from wire.messages import Hello
+from wire.messages import Hello, LeaderView, State
 
 RUN = "fuzz"
 JOIN_S = 60.0
@@ -62,22 +62,18 @@ class Agent:
     """One agent's thread, and what came of it."""
 
     name: str
-    session: AgentSession
-    body: Callable[[AgentSession], None]
+    refused: Counter[str]
+    """What it has refused, by reason."""
+    body: Callable[[], None]
     thread: threading.Thread | None = None
     ended: str = ""
     """Why, in the simulator's words."""
     problem: str = "it has not ended"
 
-    @property
-    def refused(self) -> Counter[str]:
-        """What it has refused, by reason."""
-        return self.session.refused
-
     def start(self, link: MemoryLink) -> None:
         def run() -> None:
             try:
-                self.body(self.session)
+                self.body()
                 self.problem = "it has left"
             except RunEnded as end:
                 self.ended, self.problem = str(end), ""
@@ -111,12 +107,13 @@ def run_in_memory(named: NamedScenario, folder: Path, between: Callable[[Broker,
     if between is not None:
         between(broker, keys)
     agents = []
-    for make in (
-        *((_follower, arm) for arm in named.scenario.arms),
-        *([(_leader, "")] if named.scenario.leader else []),
-    ):
+    for arm in named.scenario.arms:
         link = _PatientLink(broker)
-        agents.append(make[0](named.scenario, link, keys, make[1]))
+        agents.append(_follower(named.scenario, link, keys, arm))
+        agents[-1].start(link)
+    if named.scenario.leader is not None:
+        link = _PatientLink(broker)
+        agents.append(_leader(named.scenario.leader, link, keys))
         agents[-1].start(link)
     try:
         outcome = server.run()
@@ -136,22 +133,22 @@ def _follower(scenario: Scenario, link: MemoryLink, keys: Keys, arm: str) -> Age
         FollowerSettings(RUN, arm, team.arm, team.controller, team.gains, team.handover_s, team.leave_s)
     )
 
-    def body(session: AgentSession) -> None:
+    session = AgentSession(link, keys.arm(arm), keys.sim_alive, follower.hello(), State)
+
+    def body() -> None:
         carry(session, follower, session.join(JOIN_S), Departure())
 
-    return Agent(arm, AgentSession(link, keys.arm(arm), keys.sim_alive, follower.hello()), body)
+    return Agent(arm, session.refused, body)
 
 
-def _leader(scenario: Scenario, link: MemoryLink, keys: Keys, _: str) -> Agent:
-    leader = scenario.leader
-    assert leader is not None
+def _leader(leader: Leader, link: MemoryLink, keys: Keys) -> Agent:
     settings = LeaderSettings(
         RUN, leader.goal_m, leader.force_max_N, leader.stiffness_N_m, leader.damping_Ns_m, leader.point
     )
+    hello = Hello("leader", RUN, "leader", "", "", *here())
+    session = AgentSession(link, keys.leader, keys.sim_alive, hello, LeaderView)
 
-    def body(session: AgentSession) -> None:
+    def body() -> None:
         lead(session, settings, session.join(JOIN_S), Aims(settings, None))
 
-    return Agent(
-        "leader", AgentSession(link, keys.leader, keys.sim_alive, Hello("leader", RUN, "leader", "", "", *here())), body
-    )
+    return Agent("leader", session.refused, body)

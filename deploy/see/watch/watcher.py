@@ -6,18 +6,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from typing import Protocol, TypeVar
+from typing import Protocol
 
+from deploy.see.heard import Heard, NotSeen
 from deploy.see.watch.seen import Seen, look
-from sim_server.errors import SimError
-from wire.codec import decode
-from wire.errors import Refused
 from wire.keys import Keys
 from wire.link import Link
 from wire.messages import Event, Progress, Row
-
-M = TypeVar("M", Row, Event, Progress)
 
 LOOK_S = 0.25
 """Wall time between two looks at what has come."""
@@ -25,12 +20,6 @@ MOST_ROWS, MOST_EVENTS, MOST_REPORTS = 2000, 2000, 200
 """Messages that wait at most."""
 SILENT_S = 2.0
 """Wall time without a word after which the dashboard says so."""
-
-
-class NotSeen(SimError):
-    """No simulator, or one that has gone away."""
-
-    exit_status = 3
 
 
 class Screen(Protocol):
@@ -50,16 +39,12 @@ class Watcher:
     def __init__(self, link: Link, run: str) -> None:
         keys = Keys(run)
         self.seen = Seen(run)
-        self._refused = 0
-        self._rows: deque[bytes] = deque(maxlen=MOST_ROWS)
-        self._events: deque[bytes] = deque(maxlen=MOST_EVENTS)
-        self._progress: deque[bytes] = deque(maxlen=MOST_REPORTS)
+        self._rows = Heard(link, keys.rows, Row, MOST_ROWS)
+        self._events = Heard(link, keys.events, Event, MOST_EVENTS)
+        self._progress = Heard(link, keys.progress, Progress, MOST_REPORTS)
         self._shown_itself, self._wake, self._stopped = threading.Event(), threading.Event(), threading.Event()
         self._gone_since: float | None = None
         self._heard = time.monotonic()
-        link.subscribe(keys.rows, self._rows.append)
-        link.subscribe(keys.events, self._events.append)
-        link.subscribe(keys.progress, self._progress.append)
         link.watch_alive(keys.sim_alive, self._watch)
 
     def _watch(self, is_alive: bool) -> None:
@@ -122,18 +107,12 @@ class Watcher:
         return f"no word for {silent_s:.0f} s" if silent_s > SILENT_S else ""
 
     def _take_in(self) -> None:
-        progress = self._drain(self._progress, Progress)
-        rows, events = self._drain(self._rows, Row), self._drain(self._events, Event)
+        before = self._refused
+        progress, rows, events = self._progress.take(), self._rows.take(), self._events.take()
         if rows or events or progress:
             self._heard = time.monotonic()
-        self.seen = look(self.seen, rows, events, progress, self._refused)
-        self._refused = 0
+        self.seen = look(self.seen, rows, events, progress, self._refused - before)
 
-    def _drain(self, waiting: deque[bytes], wanted: type[M]) -> list[M]:
-        found: list[M] = []
-        for _ in range(len(waiting)):
-            try:
-                found.append(decode(waiting.popleft(), wanted))
-            except Refused:
-                self._refused += 1
-        return found
+    @property
+    def _refused(self) -> int:
+        return self._progress.refused + self._rows.refused + self._events.refused

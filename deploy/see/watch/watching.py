@@ -9,15 +9,13 @@ import sys
 from rich.console import Console
 
 from deploy.exit_status import COULD_NOT_RUN, OF_VERDICT
+from deploy.see.heard import YIELDS
 from deploy.see.watch.panels import printable
 from deploy.see.watch.screens import Lines, Picture, glyphs_for, why_plain
 from deploy.see.watch.seen import Seen
 from deploy.see.watch.top_view import NOTHING_TOLD, Told
 from deploy.see.watch.watcher import Watcher
 from sim_server.scenario import Scenario
-
-YIELDS = 10
-"""How far the dashboard steps back (nice) behind those who carry."""
 
 
 def told_by(scenario: Scenario | None) -> Told:
